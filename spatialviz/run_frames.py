@@ -9,13 +9,14 @@ from typing import Any
 
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.demo import found_by_name
-from pipeline.datasets.frame_reports import FrameReport, SurveyCounts, survey
-from pipeline.datasets.odd_frames import MOST_DEPTHS, OddFrame, odd_frames
+from pipeline.datasets.frame_reports import FrameReport, SurveyCounts, spread, survey
+from pipeline.datasets.odd_frames import MOST_DEPTHS, DepthSample, OddFrame, odd_frames
 from pipeline.datasets.opening import open_dataset, open_each
 from pipeline.datasets.report_records import frame_record
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import write_settings
 from pipeline.datasets.up import told_up
+from pipeline.geometry.frame import Frame
 from pipeline.language.counted import counted
 from spatialviz.cli_ask import (
     ContextCommand,
@@ -54,14 +55,23 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
     if not command.json:
         say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
     depths, most = (MOST_DEPTHS, None) if command.decode else (DECODED, DECODED)
-    with rate_bar("looking for odd frames", "frames") as advance:
-        summary = command.json and command.summary
-        odd = () if summary else odd_frames(dataset, most_depths=depths, progress=advance)
+    read: dict[int, DepthSample] = {}
+    # Records tell how odd a frame is as they come; for people that is told last, of what was decoded by then.
+    records, odd = command.json and not command.summary, ()
+    wanted = set() if records or command.json else set(spread(len(dataset.frame_ids), depths))
+
+    def sample(index: int, frame: Frame) -> None:
+        if index in wanted:
+            read[index] = DepthSample.of(frame.depth)
+
+    if records:
+        with rate_bar("looking for odd frames", "frames") as advance:
+            odd = odd_frames(dataset, most_depths=depths, progress=advance)
     with rate_bar("looking at frames", "frames") as advance:
-        for report in counts.watch(survey(dataset, most)):
+        for report in counts.watch(survey(dataset, most, sample)):
             advance(report.index + 1, len(dataset.frame_ids))
             notes.update(report.notes)
-            if command.json and not command.summary:
+            if records:
                 print_json({**named, **frame_record(report, odd[report.index])})
             elif command.all and not command.json:
                 print_frame(report)
@@ -71,6 +81,8 @@ def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, A
     elif not command.json:
         say_lines((f"note on {counted(frames, 'frame')}: {note}" for note, frames in notes.items()), "yellow")
         print_summary(record)
+        with rate_bar("looking for odd frames", "frames") as advance:
+            odd = odd_frames(dataset, most_depths=depths, progress=advance, known=read)
         print_odd_frames(odd, depths)
     return record["frames_usable"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from pipeline.datasets.cameras import or_note
 from pipeline.datasets.settings import ASSUMED, DECLARE, DEPTH_SCALE
 from pipeline.datasets.up import resolved_camera, scene_doubt, scene_vote
 from pipeline.geometry.camera import UpSource
+from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
 from pipeline.system.frozen import dataclass
 
@@ -79,9 +80,12 @@ def spread(count: int, most: int) -> list[int]:
     return np.linspace(0, count - 1, min(count, most)).astype(int).tolist()
 
 
-def survey(dataset: Dataset, most_decoded: int | None = None) -> Iterator[FrameReport]:
+def survey(
+    dataset: Dataset, most_decoded: int | None = None, seen: Callable[[int, Frame], object] = lambda index, frame: None
+) -> Iterator[FrameReport]:
     """Report every frame in turn; broken frames do not stop the survey. With `most_decoded` only so many frames are
-    decoded, evenly spread; where a dataset can, of the others only files and headers are looked at."""
+    decoded, evenly spread; where a dataset can, of the others only files and headers are looked at. `seen` is called
+    with each decoded frame."""
     assumed, peek = dataset_notes(dataset), getattr(dataset, "peek", None)
     count = len(dataset.frame_ids)
     chosen = None if most_decoded is None or peek is None else set(spread(count, most_decoded))
@@ -106,6 +110,7 @@ def survey(dataset: Dataset, most_decoded: int | None = None) -> Iterator[FrameR
         except InputError as error:
             yield FrameReport(index, frame_id, ok=False, problem=str(error), dataset_notes=assumed, moves=leads)
             continue
+        seen(index, frame)
         # Of a camera that is only a stand-in no level plane can be asked.
         untold = frame.camera.untold
         camera = frame.camera if untold else resolved_camera(dataset, frame)

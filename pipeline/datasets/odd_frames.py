@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -64,13 +65,29 @@ MEASURES = (
 )
 
 
+@dataclass(frozen=True)
+class DepthSample:
+    """What is compared of a depth map."""
+
+    grid: np.ndarray  # (N,) float32, metres, of `GRID` rows and columns
+    missing: float  # Share of the pixels without depth, 0..1
+
+    @classmethod
+    def of(cls, depth: np.ndarray) -> DepthSample:
+        """Sample a depth map, (H, W) float32, metres."""
+        rows, columns = (np.linspace(0, size - 1, n).astype(int) for n, size in zip(GRID, depth.shape, strict=True))
+        return cls(depth[np.ix_(rows, columns)].ravel(), 1 - np.count_nonzero(depth) / depth.size)
+
+
 def odd_frames(
     dataset: Dataset,
     most_poses: int = MOST_POSES,
     most_depths: int = MOST_DEPTHS,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    known: Mapping[int, DepthSample] = MappingProxyType({}),
 ) -> tuple[OddFrame, ...]:
-    """Oddness of each frame of a dataset, in its order. `progress` takes the depth maps read so far, and of how many.
+    """Oddness of each frame of a dataset, in its order. `progress` takes the depth maps read so far, and of how many;
+    `known`: by index, those that were read already.
 
     A frame is compared with the two before it in its scene, and the nearer of them counts: after a single odd frame the
     next one is like the one before it.
@@ -84,12 +101,13 @@ def odd_frames(
         poses[k] = or_note([], "", load_pose, dataset, ids[k])
         progress(0, len(chosen))
     for done, k in enumerate(chosen):
-        depth = or_note([], "", load_depth, dataset, ids[k])
-        if depth is not None:
-            rows, columns = (np.linspace(0, size - 1, n).astype(int) for n, size in zip(GRID, depth.shape, strict=True))
+        sample = known.get(k)
+        if sample is None and (depth := or_note([], "", load_depth, dataset, ids[k])) is not None:
+            sample = DepthSample.of(depth)
+        if sample is not None:
+            missing[k] = sample.missing
             if near:
-                grids[k] = depth[np.ix_(rows, columns)].ravel()
-            missing[k] = 1 - np.count_nonzero(depth) / depth.size
+                grids[k] = sample.grid
         progress(done + 1, len(chosen))
     scenes: defaultdict[str, list[int]] = defaultdict(list)
     for k, scene in enumerate(scenes_of(dataset)):

@@ -11,8 +11,9 @@ from dataset_writers import write_png
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.datasets import InMemoryDataset, open_dataset
-from pipeline.datasets.odd_frames import OddFrame, odd_frames
+from pipeline.datasets import InMemoryDataset, demo_path, open_dataset
+from pipeline.datasets.base import ChangedFrames, load_depth
+from pipeline.datasets.odd_frames import DepthSample, OddFrame, odd_frames
 from pipeline.geometry import Camera, Frame
 
 K = np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]])
@@ -140,3 +141,17 @@ def test_real_recordings_without_a_fault_have_no_odd_frame(shared_data: Path, na
     found = odd_frames(open_dataset(shared_data / "real" / name))
     assert not [one for one in found if one.reasons]
     assert all(one.oddness is not None for one in found)
+
+
+def test_depth_that_was_read_already_says_the_same() -> None:
+    dataset = open_dataset(demo_path())
+    known = {k: DepthSample.of(dataset.load(i).depth) for k, i in enumerate(dataset.frame_ids[:7])}
+    read: list[str] = []
+
+    class Counted(ChangedFrames):
+        def load_depth(self, frame_id: str) -> np.ndarray | None:
+            read.append(frame_id)
+            return load_depth(dataset, frame_id)
+
+    assert odd_frames(Counted(dataset), known=known) == odd_frames(dataset)
+    assert read == list(dataset.frame_ids[7:])
