@@ -8,7 +8,6 @@ from pathlib import Path
 from pipeline.answering.objects import SceneObject
 from pipeline.proposals.base import Detector
 from pipeline.scenes.map_files import read_maps
-from pipeline.system.contents import contents_hash
 from pipeline.system.errors import require
 from pipeline.system.frozen import dataclass
 
@@ -36,8 +35,3 @@ def open_instances(folder: str, detector: Detector) -> Instances:
             for frame_id, number in entry.numbers.items():
                 found.setdefault(frame_id, {})[number] = entry.id
     return Instances(found)
-
-
-def instances_hash(folder: str) -> str:
-    """Hash of the maps in a folder."""
-    return contents_hash(Path(folder))

@@ -15,7 +15,6 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
 from pipeline.geometry.cleaning import LiftConfig
-from pipeline.labels.instances import instances_hash
 from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, profile_of
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
@@ -159,7 +158,7 @@ def make_plan(
         {
             "detector": f"{detector.name}: {detector.fingerprint()}",
             "second_opinion": fingerprint(config.second_opinion),
-            **({"map": instances_hash(config.map)} if config.map else {}),
+            **({"map": contents_hash(Path(config.map))} if config.map else {}),
             **_declared(spec.options),
         },
         _input_hash(source, out, like),

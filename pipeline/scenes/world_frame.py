@@ -48,7 +48,7 @@ class WorldFrame(PreparedFrame):
     >>> from pipeline.scenes.world_frame import ask_world, from_frame
     >>> demo = open_pipeline("demo")
     >>> made = map_scene(demo, "000001", posed_frames(demo.dataset, "000001/000000"))
-    >>> trace = ask_world(demo, made, from_frame(demo, made, "000001/000000"), "mug left of the laptop")
+    >>> trace = ask_world(demo, from_frame(demo, made, "000001/000000"), "mug left of the laptop")
     >>> trace.objects[trace.ranking.pairs[0].target].label
     'mug'
     """
