@@ -9,10 +9,12 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from pipeline.system.frozen import dataclass
 from spatialviz.options import (
+    ALL_FRAMES,
     CPUS,
     Box,
     DatasetArg,
     Flag,
+    FrameArg,
     JournalArg,
     JournalOptions,
     LabelledArg,
@@ -26,6 +28,7 @@ from spatialviz.options import (
     OnPictures,
     Output,
     Overwrite,
+    ProposalOptions,
     SourceArg,
     SourceOptions,
     Workers,
@@ -93,6 +96,26 @@ class LabelCommand(Output):
     empty: Flag = False
     """Find nothing: begin labels by hand. `correct`, `confirm` and the page add what people outline, and frames with
     it; --limit takes in the first frames at once. Relations are all that there are."""
+
+
+ProposalArg = OmitArgPrefixes[Annotated[ProposalOptions, arg(help=ProposalOptions.__doc__)]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapCommand(Output):
+    """Join the objects of a scene's posed frames: which is which, and where each is seen, hidden or missing.
+
+    FRAME is any frame of the scene; without it, all scenes. A map that is there already is gone on from. Exit status: 0
+    where frames were joined and none was left out, else 1.
+    """
+
+    dataset: DatasetArg
+    frame: FrameArg = ALL_FRAMES
+    out: Path
+    """Folder for the maps, a file a scene."""
+    refine: Flag = False
+    """Use refined poses where surfaces agree better with them. It is always told how far they move."""
+    source: ProposalArg = ProposalOptions()
 
 
 @dataclass(frozen=True)

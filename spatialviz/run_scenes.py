@@ -12,7 +12,7 @@ from pipeline.scenes.map_files import map_path, read_map, save_map
 from pipeline.scenes.object_map import SceneMap, map_record, map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.system.errors import FrameUnusable
-from spatialviz.cli_scenes import MapCommand
+from spatialviz.cli_labels import MapCommand
 from spatialviz.options import ALL_FRAMES, FINE, NO, one_frame, warn
 from spatialviz.printing import figure, print_rows, progress_bars, say, say_lines
 

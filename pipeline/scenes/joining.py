@@ -36,10 +36,10 @@ SMALL = 200
 
 
 @dataclass(frozen=True)
-class Seen:
+class Sighting:
     """An object of a view, before it has an identity."""
 
-    number: int  # The frame's own number of it
+    number: int  # Of it in its frame, as in labels
     label: str
     score: float  # 0..1
     mask: MaskCrop
@@ -90,7 +90,7 @@ class Joining:
         for join in self.joins:
             vote(self.votes, join.object_id, join)
 
-    def add(self, view: View, objects: Sequence[Seen]) -> tuple[Join, ...]:
+    def add(self, view: View, objects: Sequence[Sighting]) -> tuple[Join, ...]:
         """Match the objects of the next view, and take them in."""
         numbers = [o.number for o in objects]
         require(len(set(numbers)) == len(numbers), f"frame {view.frame_id}: objects have the same number", got=numbers)
@@ -110,7 +110,7 @@ class Joining:
     def _matched(
         self,
         view_id: str,
-        objects: Sequence[Seen],
+        objects: Sequence[Sighting],
         iou: np.ndarray,
         inner: np.ndarray,
         known: np.ndarray,
@@ -157,7 +157,7 @@ class Joining:
         return root
 
 
-def vote(votes: dict[int, dict[str, float]], object_id: int, entry: Seen | Join) -> None:
+def vote(votes: dict[int, dict[str, float]], object_id: int, entry: Sighting | Join) -> None:
     """Add a sighting's score to its class name among those of an object."""
     own = votes.setdefault(object_id, {})
     own[entry.label] = own.get(entry.label, 0.0) + entry.score
@@ -168,12 +168,12 @@ def elected(votes: Mapping[str, float]) -> str:
     return min(votes, key=lambda label: (-votes[label], label))
 
 
-def seen_objects(pipeline: Pipeline, prepared: PreparedFrame) -> tuple[Seen, ...]:
+def seen_objects(pipeline: Pipeline, prepared: PreparedFrame) -> tuple[Sighting, ...]:
     """Objects of a frame as a pipeline's detector finds them, each with a mask."""
-    objects = all_objects(prepared, pipeline.needed_detector())
+    detector = pipeline.needed_detector()
     return tuple(
-        Seen(o.id if o.id >= 0 else place, o.label, o.score, o.held.crop, _kept(o, prepared.frame.depth))
-        for place, o in enumerate(objects)
+        Sighting(o.id if detector.exact else place, o.label, o.score, o.held.crop, _kept(o, prepared.frame.depth))
+        for place, o in enumerate(all_objects(prepared, detector))
     )
 
 
@@ -186,7 +186,7 @@ def _kept(thing: SceneObject, depth: np.ndarray) -> np.ndarray | None:
     return evidence.full(*depth.shape)[crop.y : crop.y + h, crop.x : crop.x + w] == Pixel.KEPT
 
 
-def _painted(sharp: np.ndarray, objects: Sequence[Seen]) -> tuple[np.ndarray, np.ndarray]:
+def _painted(sharp: np.ndarray, objects: Sequence[Sighting]) -> tuple[np.ndarray, np.ndarray]:
     """Index of each pixel's object, (H, W) int32, -1 for none, and the pixels to compare, (H, W) bool.
 
     Of nested masks the smaller lies on top; what of a mask is not kept is nobody's.

@@ -19,7 +19,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.base import load_pose
 from pipeline.language.noun_phrase import same_names
 from pipeline.scenes.joining import Join, Joining, elected, seen_objects, vote
-from pipeline.scenes.pose_fit import PosedViews, bad_poses
+from pipeline.scenes.pose_fit import SceneViews, bad_poses
 from pipeline.scenes.poses import PoseAgreement, Refinement
 from pipeline.scenes.views import View, Visibility
 from pipeline.scenes.voxels import Voxels
@@ -129,7 +129,7 @@ def map_scene(
     }
     if known is not None and not _continued(pipeline, known, listed, settings):
         known = None
-    posed = PosedViews(dataset, refined)
+    posed = SceneViews(dataset, refined)
     unread: dict[str, str] = {}
     joining, tried = Joining(), set[str]()
     before: Mapping[str, str] = {}
@@ -183,7 +183,7 @@ def _continued(pipeline: Pipeline, known: SceneMap, listed: Sequence[str], setti
     return all(now is not None and np.array_equal(now, pose) for now, pose in poses)
 
 
-def _objects(joining: Joining, used: Sequence[str], posed: PosedViews, progress: Progress) -> tuple[WorldObject, ...]:
+def _objects(joining: Joining, used: Sequence[str], posed: SceneViews, progress: Progress) -> tuple[WorldObject, ...]:
     ids = joining.merged()
     voxels, kept = joining.voxels.renamed(ids), sorted(set(ids.values()))
     numbers: dict[int, dict[str, int]] = {k: {} for k in kept}

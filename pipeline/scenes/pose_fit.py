@@ -25,7 +25,7 @@ from pipeline.system.errors import FrameUnusable, needed
 from pipeline.system.recent import Recent
 
 
-class PosedViews:
+class SceneViews:
     """Views of a scene under the poses that are used, of which a few are held."""
 
     def __init__(self, dataset: Dataset, refined: bool = False) -> None:

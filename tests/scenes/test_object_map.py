@@ -98,6 +98,12 @@ def test_a_frame_that_cannot_be_read_is_left_out_with_its_reason() -> None:
     assert "no frame" in made.left_out["000001/000099"]
 
 
+def test_a_scene_in_which_nothing_is_found_is_a_map_without_objects() -> None:
+    made = map_scene(demo(annotated=lambda frame_id, a: None), "s", SCENE[:2])
+    assert (made.frame_ids, made.objects) == (SCENE[:2], ())
+    assert set(made.voxels.sizes()) == {BACKGROUND}
+
+
 @pytest.fixture(scope="module")
 def small() -> SceneMap:
     pipeline = boxes_at([{"box": A}] * 2)
