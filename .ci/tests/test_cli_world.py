@@ -1,0 +1,43 @@
+"""Questions to a scene, and labels that know its objects, from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from command_line import spatialviz
+
+FRAME = "000001/000000"
+
+
+def test_a_scene_is_asked_from_its_map_and_from_where_nobody_stood(tmp_path: Path) -> None:
+    maps = tmp_path / "maps"
+    spatialviz(0, "map", "demo", FRAME, "--out", maps)
+    asked = ("ask", "demo", FRAME, "pillow on the armchair")
+    assert spatialviz(1, *asked).out
+    told = spatialviz(0, *asked, "--world", "--map", maps).out
+    assert "not visible from here: outside the picture; seen in 000001/000002" in told
+    record = spatialviz(0, *asked, "--world", "--map", maps, "--json").record
+    assert record["world"]["objects"]["target"]["presence"] == "out"
+    turned = ("--standing-at", "bookshelf", "--facing", "armchair")
+    record = spatialviz(0, *asked, "--world", "--map", maps, *turned, "--json").record
+    assert record["world"]["viewpoint"] == "at bookshelf facing armchair"
+    for wrong, words in (
+        (turned, "are of --world"),
+        (("--world", "--facing", "armchair"), "--standing-at X --facing Y"),
+        (("--world", "--map", tmp_path), "no map of the scene"),
+    ):
+        assert words in spatialviz(2, *asked, *wrong).err
+    assert "one frame" in spatialviz(2, "ask", "demo", "all", "pillow on the armchair", "--world").err
+
+
+def test_labels_know_the_objects_of_a_map(tmp_path: Path) -> None:
+    maps, labels = tmp_path / "maps", tmp_path / "labels"
+    for frame in (FRAME, "000002/000000"):
+        spatialviz(0, "map", "demo", frame, "--out", maps)
+    spatialviz(0, "label", "demo", "--out", labels, "--map", maps, "--limit", 6)
+    spatialviz(0, "export", labels, "--format", "jsonl", "--out", tmp_path / "out")
+    found = (tmp_path / "out" / "objects.jsonl").read_text()
+    assert '"instance": 0' in found
+    assert '"instance": null' not in found
+    spatialviz(0, "export", labels, "--format", "scene-graph", "--out", tmp_path / "graphs")
+    assert (tmp_path / "graphs" / "graphs" / "000000.graphml").is_file()
