@@ -7,9 +7,7 @@ says nothing: cups would be joined to their table.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import field, replace
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -66,9 +64,10 @@ class Join:
         return not self.new and (self.known < LEAST_SEEN or self.iou - self.second < SAME_NAME)
 
 
-@dataclass
 class Joining:
     """Objects of a scene as views come in, in their order.
+
+    `voxels` and `joins` (with the ids of before `merged`) are all that it knows: of a saved scene it goes on from them.
 
     >>> from pipeline.answering.pipeline import open_pipeline
     >>> from pipeline.scenes.joining import Joining, seen_objects
@@ -77,12 +76,16 @@ class Joining:
     >>> for frame in (demo.prepare(0), demo.prepare(1)):
     ...     joined = joining.add(View.of(frame.frame), seen_objects(demo, frame))
     >>> sum(not join.new for join in joined), len(joined)
-    (5, 6)
+    (19, 29)
     """
 
-    voxels: Voxels = field(default_factory=Voxels)
-    joins: list[Join] = field(default_factory=list)
-    votes: dict[int, Counter[str]] = field(default_factory=dict)  # By object, the class names' summed scores
+    def __init__(self, voxels: Voxels | None = None, joins: Iterable[Join] = ()) -> None:
+        self.voxels = voxels or Voxels()
+        self.joins = list(joins)
+        self.votes: dict[int, dict[str, float]] = {}
+        """By object, the summed scores of the class names."""
+        for join in self.joins:
+            vote(self.votes, join.object_id, join)
 
     def add(self, view: View, objects: Sequence[Seen]) -> tuple[Join, ...]:
         """Match the objects of the next view, and take them in."""
@@ -93,86 +96,72 @@ class Joining:
         v, u = v[on_grid], u[on_grid]
         own = _painted(view.size, objects)[v, u]
         points = view.world(v, u)
-        owner = self.voxels.owners(points)
-        iou, known = _overlaps(own, owner, len(objects), sorted(self.votes))
-        labels = [*(o.label for o in objects), *map(self.name, sorted(self.votes))]
+        iou, known = _overlaps(own, self.voxels.owners(points), len(objects), len(self.votes))
+        labels = [*(o.label for o in objects), *map(self.name, range(len(self.votes)))]
         named = same_names(labels)[: len(objects), len(objects) :]
         found = self._matched(view.frame_id, objects, iou, known, named)
         ids = np.array([BACKGROUND, *(join.object_id for join in found)])
-        self.voxels.add(points, ids[own + 1])
+        self.voxels = self.voxels.added(points, ids[own + 1])
         self.joins.extend(found)
         return found
 
     def _matched(
-        self, frame_id: str, objects: Sequence[Seen], iou: np.ndarray, known: np.ndarray, named: np.ndarray
+        self, view_id: str, objects: Sequence[Seen], iou: np.ndarray, known: np.ndarray, named: np.ndarray
     ) -> tuple[Join, ...]:
-        ids = sorted(self.votes)
         score = np.where(iou > 0, iou + SAME_NAME * named, 0.0)
         matched = dict(zip(*linear_sum_assignment(-score), strict=True)) if score.size else {}
         out = []
         for i, entry in enumerate(objects):
-            k = matched.get(i)
-            new = k is None or score[i, k] < LEAST_SCORE
-            number = len(self.votes) if new else ids[k]  # pyright: ignore[reportCallIssue, reportArgumentType]
-            others = np.delete(iou[i], [] if new else [k])
-            self.votes.setdefault(number, Counter())[entry.label] += entry.score
-            out.append(
-                Join(
-                    frame_id,
-                    entry.number,
-                    number,
-                    new,
-                    0.0 if new else float(iou[i, k]),
-                    float(others.max(initial=0.0)),
-                    float(known[i]),
-                    False if new else bool(named[i, k]),
-                    entry.label,
-                    entry.score,
-                )
-            )
+            k = matched.get(i, -1)
+            new = k < 0 or score[i, k] < LEAST_SCORE
+            number = len(self.votes) if new else int(k)
+            second = float((iou[i] if new else np.delete(iou[i], k)).max(initial=0.0))
+            own = (0.0, False) if new else (float(iou[i, k]), bool(named[i, k]))
+            vote(self.votes, number, entry)
+            seen = (float(known[i]), own[1], entry.label, entry.score)
+            out.append(Join(view_id, entry.number, number, bool(new), own[0], second, *seen))
         return tuple(out)
 
     def name(self, object_id: int) -> str:
-        """Class name by vote; of equal ones the first in the alphabet."""
-        votes = self.votes[object_id]
-        return min(votes, key=lambda label: (-votes[label], label))
+        """Class name by vote."""
+        return elected(self.votes[object_id])
 
     def merged(self) -> dict[int, int]:
-        """Join objects that stand at the same place and never in one frame; ids by the ids that they had before."""
+        """Id by the id of before: of objects that stand at the same place and never in one frame the smallest.
+
+        Nothing is changed by it: what later views show may join others.
+        """
         frames: dict[int, set[str]] = {k: set() for k in self.votes}
         for join in self.joins:
             frames[join.object_id].add(join.frame_id)
-        sizes, new = self.voxels.sizes(), {k: k for k in self.votes}
-        shares = {
-            pair: n / max(1, min(sizes.get(pair[0], 0), sizes.get(pair[1], 0)))
-            for pair, n in self.voxels.shared().items()
-        }
+        sizes, root = self.voxels.sizes(), {k: k for k in self.votes}
+        shared = self.voxels.shared()
+        shares = {(a, b): n / min(sizes[a], sizes[b]) for (a, b), n in shared.items()}
         for (a, b), share in sorted(shares.items(), key=lambda item: (-item[1], item[0])):
-            one, other = _root(new, a), _root(new, b)
-            if one == other or frames[one] & frames[other]:
+            one, other = sorted((root[a], root[b]))
+            named = bool(same_names([self.name(a), self.name(b)])[0, 1])
+            if one == other or frames[one] & frames[other] or share < (SAME_PLACE_NAMED if named else SAME_PLACE):
                 continue
-            named = bool(same_names([self.name(one), self.name(other)])[0, 1])
-            if share >= (SAME_PLACE_NAMED if named else SAME_PLACE):
-                keep, gone = min(one, other), max(one, other)
-                new[gone] = keep
-                frames[keep] |= frames.pop(gone)
-                self.votes[keep] += self.votes.pop(gone)
-        roots = {k: _root(new, k) for k in new}
-        self.joins = [replace(join, object_id=roots[join.object_id]) for join in self.joins]
-        self.voxels.renamed(roots)
-        return roots
+            frames[one] |= frames[other]
+            root.update({k: one for k, of in root.items() if of == other})
+        return root
+
+
+def vote(votes: dict[int, dict[str, float]], object_id: int, entry: Seen | Join) -> None:
+    """Add a sighting's score to its class name among those of an object."""
+    own = votes.setdefault(object_id, {})
+    own[entry.label] = own.get(entry.label, 0.0) + entry.score
+
+
+def elected(votes: Mapping[str, float]) -> str:
+    """Class name with most votes; of equal ones the first in the alphabet."""
+    return min(votes, key=lambda label: (-votes[label], label))
 
 
 def seen_objects(pipeline: Pipeline, prepared: PreparedFrame) -> tuple[Seen, ...]:
     """Objects of a frame as a pipeline's detector finds them, each with a mask."""
     objects = all_objects(prepared, pipeline.needed_detector())
     return tuple(Seen(o.id if o.id >= 0 else place, o.label, o.score, o.held.crop) for place, o in enumerate(objects))
-
-
-def _root(new: dict[int, int], k: int) -> int:
-    while new[k] != k:
-        k = new[k]
-    return k
 
 
 def _painted(size: tuple[int, int], objects: Sequence[Seen]) -> np.ndarray:
@@ -185,20 +174,17 @@ def _painted(size: tuple[int, int], objects: Sequence[Seen]) -> np.ndarray:
     return out
 
 
-def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """IoU of a view's objects with the scene's, (N, M), over pixels whose place was seen, and the share of such
-    pixels of each of the view's, (N,).
+def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, known: int) -> tuple[np.ndarray, np.ndarray]:
+    """IoU of a view's objects with the scene's, (count, known), over pixels whose place was seen, and the share of such
+    pixels of each of the view's, (count,).
 
     `own`, (P,): index of each pixel's object; `owner`, (P,): the scene's owner of its place.
     """
-    seen = owner != UNSEEN
     whole = np.bincount(own[own >= 0], minlength=count)
-    a, b = own[seen], owner[seen]
-    place = np.searchsorted(np.asarray(ids, np.int64), b)
-    both = (a >= 0) & (b >= 0)
-    inter = np.zeros((count, len(ids)))
-    np.add.at(inter, (a[both], place[both]), 1)
-    mine = np.bincount(a[a >= 0], minlength=count)
-    theirs = np.bincount(place[b >= 0], minlength=len(ids))[: len(ids)]
-    union = mine[:, None] + theirs[None] - inter
-    return inter / np.maximum(union, 1), mine / np.maximum(whole, 1)
+    seen = owner != UNSEEN
+    # With a row and a column for the background.
+    table = np.bincount((own[seen] + 1) * (known + 1) + owner[seen] + 1, minlength=(count + 1) * (known + 1))
+    table = table.reshape(count + 1, known + 1).astype(np.float64)
+    both, mine, theirs = table[1:, 1:], table[1:].sum(axis=1), table[:, 1:].sum(axis=0)
+    union = mine[:, None] + theirs - both
+    return both / np.maximum(union, 1), mine / np.maximum(whole, 1)

@@ -1,21 +1,26 @@
 """Object map of a scene: world objects with names by vote, and where each is seen, hidden, or missing.
 
-Frames come in one after the other, and the same frames always give the same map; memory is that of the scene's
-surfaces. Frames whose pose does not fit the others are reported and left out.
+Frames come in one after the other, and the same frames always give the same map, whether at once or in several goes;
+memory is that of the scene's surfaces. Frames whose pose does not fit the others are reported and left out.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.answering.objects import prepare_frame
 from pipeline.answering.pipeline import Pipeline
-from pipeline.scenes.joining import Join, Joining, seen_objects
-from pipeline.scenes.poses import PoseAgreement, agreement, compared, fits, misfits
+from pipeline.datasets.base import load_pose
+from pipeline.language.noun_phrase import same_names
+from pipeline.scenes.joining import Join, Joining, elected, seen_objects, vote
+from pipeline.scenes.pose_fit import PosedViews, bad_poses
+from pipeline.scenes.poses import PoseAgreement, Refinement
 from pipeline.scenes.views import View, Visibility
 from pipeline.scenes.voxels import Voxels
 from pipeline.system.errors import InputError
@@ -27,6 +32,10 @@ seen, and nothing was found there; the place is looked through: it stood there a
 LEAST_IN_VIEW, LEAST_SURFACE, MOST_THROUGH = 0.1, 0.3, 0.5
 """Shares of an object's places: in view for it to be expected; on a surface for it to be missed; looked through for it
 to be gone."""
+PLACES = 400
+"""So many places of an object are looked for in each frame."""
+Progress = Callable[[str, int, int], None]
+"""Called with a step's name, frames done, and frames in all."""
 
 
 @dataclass(frozen=True)
@@ -37,19 +46,18 @@ class WorldObject:
     label: str  # By vote
     votes: Mapping[str, float]  # Summed scores by class name
     numbers: Mapping[str, int]  # By frame that it is found in, the frame's own number of it
-    presence: Mapping[str, Presence]  # By frame
+    presence: Mapping[str, Presence]  # By joined frame
     center: tuple[float, float, float]  # Of its seen places, world, metres
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     places: int  # Number of its voxels
+    other_place: int | None = None  # Id of the same thing at its other place, where it was moved
 
     @property
     def state(self) -> Literal["static", "moved", "doubtful"]:
-        """Tell an object that some frame looks through, and one that a single frame shows where others should."""
-        if "gone" in self.presence.values():
-            return "moved"
-        missed = sum(p == "missed" for p in self.presence.values())
-        return "doubtful" if missed > len(self.numbers) else "static"
+        """Tell an object whose place some frame looks through, and one that more frames miss than find."""
+        count = Counter(self.presence.values())
+        return "moved" if count["gone"] else "doubtful" if count["missed"] > len(self.numbers) else "static"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +65,31 @@ class SceneMap:
     """World objects of a scene, the evidence of each join, and the frames that were left out."""
 
     scene: str
-    frame_ids: tuple[str, ...]  # That were joined
-    objects: tuple[WorldObject, ...]
-    joins: tuple[Join, ...]
+    settings: Mapping[str, str]  # What the map depends on beside the frames
+    listed: tuple[str, ...]  # All frames that were looked at, in order
+    declared: Mapping[str, np.ndarray]  # Pose T_world_camera (4, 4) by readable frame, as the dataset has it
+    poses: Mapping[str, np.ndarray]  # As used
     agreements: tuple[PoseAgreement, ...]
+    refinements: tuple[Refinement, ...]
     left_out: Mapping[str, str]  # By frame, the reason
-    voxels: Voxels
+    joining: Joining  # Sightings and voxels with the ids of before objects were joined at the end
+    objects: tuple[WorldObject, ...]
+
+    @property
+    def frame_ids(self) -> tuple[str, ...]:
+        """Frames that were joined, in order."""
+        return tuple(i for i in self.listed if i not in self.left_out)
+
+    @cached_property
+    def joins(self) -> tuple[Join, ...]:
+        """Evidence of each sighting, in order."""
+        ids = self.joining.merged()
+        return tuple(replace(join, object_id=ids[join.object_id]) for join in self.joining.joins)
+
+    @cached_property
+    def voxels(self) -> Voxels:
+        """Places of the objects, by their ids, and of the background."""
+        return self.joining.voxels.renamed(self.joining.merged())
 
     def of_object(self, frame_id: str, number: int) -> WorldObject | None:
         """The object that a frame calls by a number; None for a frame or number without one."""
@@ -73,10 +100,18 @@ def map_scene(
     pipeline: Pipeline,
     scene: str,
     frame_ids: Iterable[str],
-    poses: Mapping[str, np.ndarray] | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    known: SceneMap | None = None,
+    refined: bool = False,
+    progress: Progress = lambda what, done, total: None,
 ) -> SceneMap:
-    """Join the objects of a scene's posed frames; `poses` replace those that are declared.
+    """Join the objects of a scene's posed frames, in the dataset's order.
+
+    Parameters
+    ----------
+    known : SceneMap, optional
+        A map of the first of these frames, which is gone on from where dataset, poses and detector are the same.
+    refined : bool
+        Use refined poses where the views agree better with them.
 
     >>> from pipeline.answering.pipeline import open_pipeline
     >>> from pipeline.scenes.object_map import map_scene
@@ -86,54 +121,120 @@ def map_scene(
     >>> made.of_object("000001/000000", 2).label
     'laptop'
     """
-    ids, left_out = tuple(frame_ids), {}
-    views: dict[str, View] = {}
-    for frame_id in ids:
-        try:
-            views[frame_id] = View.of(pipeline.dataset.load(frame_id), (poses or {}).get(frame_id))
-        except InputError as error:
-            left_out[frame_id] = str(error)
-    found = tuple(agreement(*(list(views.values())[k] for k in pair)) for pair in compared(len(views)))
-    best = fits(found)
-    least = misfits(list(best.values()))
-    joining, used = Joining(), list[str]()
-    for done, (frame_id, view) in enumerate(views.items()):
-        progress(done, len(views))
-        if best.get(frame_id, 1.0) < least:
-            left_out[frame_id] = (
-                f"its pose does not fit the other frames: surfaces agree by {best[frame_id]:.2f}, usual is {least:.2f} and more"
-            )
-            continue
-        prepared = prepare_frame(pipeline.dataset, pipeline.dataset.load(frame_id), pipeline.config.lift)
-        joining.add(view, seen_objects(pipeline, prepared))
-        used.append(frame_id)
-    joining.merged()
-    objects = _objects(joining, [views[i] for i in used])
-    return SceneMap(scene, tuple(used), objects, tuple(joining.joins), found, left_out, joining.voxels)
+    dataset, listed = pipeline.dataset, tuple(frame_ids)
+    settings = {
+        "detector": pipeline.needed_detector().fingerprint(),
+        "lift": repr(pipeline.config.lift),
+        "poses": "refined" if refined else "declared",
+    }
+    if known is not None and not _continued(pipeline, known, listed, settings):
+        known = None
+    posed = PosedViews(dataset, refined)
+    unread: dict[str, str] = {}
+    joining, tried = Joining(), set[str]()
+    before: Mapping[str, str] = {}
+    if known is not None:
+        posed.declared, posed.poses = dict(known.declared), dict(known.poses)
+        posed.agreements, before = list(known.agreements), bad_poses(known.agreements)
+        posed.refinements = [r for r in known.refinements if refined]
+        unread = {i: reason for i, reason in known.left_out.items() if i not in before}
+    for done, frame_id in enumerate(listed):
+        progress("comparing poses", done, len(listed))
+        if known is None or frame_id not in known.listed:
+            try:
+                posed.add(frame_id)
+            except InputError as error:
+                unread[frame_id] = str(error)
+    bad = bad_poses(posed.agreements)
+    if known is not None and before.keys() == bad.keys() & set(known.listed):
+        joining, tried = Joining(known.joining.voxels, known.joining.joins), set(known.listed)
+    for done, frame_id in enumerate(listed):
+        progress("joining objects", done, len(listed))
+        if frame_id in posed.poses and frame_id not in {*bad, *tried}:
+            try:
+                frame = dataset.load(frame_id)
+                objects = seen_objects(pipeline, prepare_frame(dataset, frame, pipeline.config.lift, boxes=False))
+                joining.add(View.of(frame, posed.poses[frame_id]), objects)
+            except InputError as error:
+                unread[frame_id] = str(error)
+    left_out = {i: {**bad, **unread}[i] for i in listed if i in bad or i in unread}
+    used = [i for i in listed if i not in left_out]
+    objects = _objects(joining, used, posed, progress)
+    offered = posed.refinements if refined else [r for i in bad if (r := posed.refinement(i, used)) is not None]
+    return SceneMap(
+        scene,
+        settings,
+        listed,
+        posed.declared,
+        posed.poses,
+        tuple(posed.agreements),
+        tuple(offered),
+        left_out,
+        joining,
+        objects,
+    )
 
 
-def _objects(joining: Joining, views: Sequence[View]) -> tuple[WorldObject, ...]:
-    numbers: dict[int, dict[str, int]] = {k: {} for k in joining.votes}
+def _continued(pipeline: Pipeline, known: SceneMap, listed: Sequence[str], settings: Mapping[str, str]) -> bool:
+    """Tell whether a map is of the first of these frames, under the same settings and declared poses."""
+    if known.settings != settings or known.listed != listed[: len(known.listed)]:
+        return False
+    poses = ((load_pose(pipeline.dataset, i), pose) for i, pose in known.declared.items())
+    return all(now is not None and np.array_equal(now, pose) for now, pose in poses)
+
+
+def _objects(joining: Joining, used: Sequence[str], posed: PosedViews, progress: Progress) -> tuple[WorldObject, ...]:
+    ids = joining.merged()
+    voxels, kept = joining.voxels.renamed(ids), sorted(set(ids.values()))
+    numbers: dict[int, dict[str, int]] = {k: {} for k in kept}
+    votes: dict[int, dict[str, float]] = {}
     for join in joining.joins:
-        numbers[join.object_id][join.frame_id] = join.number
+        numbers[ids[join.object_id]][join.frame_id] = join.number
+        vote(votes, ids[join.object_id], join)
+    places = {k: voxels.of(k) for k in kept}
+    looked_for = [places[k][:: max(1, len(places[k]) // PLACES)] for k in kept]
+    presence: dict[int, dict[str, Presence]] = {k: {} for k in kept}
+    for done, frame_id in enumerate(used):
+        progress("looking for objects", done, len(used))
+        for k, found in zip(kept, presences(posed.view(frame_id), looked_for), strict=True):
+            presence[k][frame_id] = "seen" if frame_id in numbers[k] else found
     out = []
-    for k in sorted(joining.votes):
-        places = joining.voxels.of(k)
-        presence = {v.frame_id: "seen" if v.frame_id in numbers[k] else presence_of(v, places) for v in views}
-        low, high, center = (
-            tuple(np.round(f(places, axis=0), 4).tolist()) if len(places) else (0.0, 0.0, 0.0)
-            for f in (np.min, np.max, np.mean)
+    for k in kept:
+        own = places[k] if len(places[k]) else np.zeros((1, 3))
+        low, high, center = (tuple(np.round(f(own, axis=0), 4).tolist()) for f in (np.min, np.max, np.mean))
+        out.append(
+            WorldObject(k, elected(votes[k]), votes[k], numbers[k], presence[k], center, low, high, len(places[k]))
         )
-        votes = dict(joining.votes[k].most_common())
-        out.append(WorldObject(k, joining.name(k), votes, numbers[k], presence, center, low, high, len(places)))
-    return tuple(out)
+    return _linked(out)
 
 
-def presence_of(view: View, places: np.ndarray) -> Presence:
-    """Presence in a view of an object that is not found there, by its places, (N, 3), world, metres."""
-    counts = np.bincount(view.at(*view.project(places)), minlength=len(Visibility))
-    inside = len(places) - counts[Visibility.OUT]
-    if inside < max(1, LEAST_IN_VIEW * len(places)):
+def _linked(objects: Sequence[WorldObject]) -> tuple[WorldObject, ...]:
+    """Link the two places of things that were moved: both are looked through in some frame, of the same name, in no
+    frame at once, and like nobody else."""
+    moved = [o for o in objects if o.state == "moved"]
+    alike = same_names([o.label for o in moved])
+    rivals = {
+        a.id: [b.id for j, b in enumerate(moved) if i != j and alike[i, j] and not a.numbers.keys() & b.numbers.keys()]
+        for i, a in enumerate(moved)
+    }
+    pairs = {a: found[0] for a, found in rivals.items() if len(found) == 1 and rivals[found[0]] == [a]}
+    return tuple(replace(o, other_place=pairs.get(o.id)) for o in objects)
+
+
+def presences(view: View, objects: Sequence[np.ndarray]) -> list[Presence]:
+    """Presence in a view of objects that are not found there, by their places, (N, 3) each, world, metres."""
+    if not objects:
+        return []
+    found = view.at(*view.project(np.concatenate(objects)))
+    owner = np.repeat(np.arange(len(objects)), [len(places) for places in objects])
+    kinds = len(Visibility)
+    counts = np.bincount(owner * kinds + found, minlength=len(objects) * kinds).reshape(-1, kinds)
+    return [_presence(row) for row in counts]
+
+
+def _presence(counts: np.ndarray) -> Presence:
+    inside = counts.sum() - counts[Visibility.OUT]
+    if inside <= LEAST_IN_VIEW * counts.sum():
         return "out"
     if counts[Visibility.THROUGH] > MOST_THROUGH * inside:
         return "gone"
@@ -141,46 +242,17 @@ def presence_of(view: View, places: np.ndarray) -> Presence:
 
 
 def map_record(made: SceneMap) -> dict[str, Any]:
-    """JSON-able record of a map: `objects`, `frames`, `left_out`, and `poses`, the agreement of each compared pair."""
+    """JSON-able record of a map: objects, joins, agreement of poses by pair, refinements, frames left out."""
     return {
         "scene": made.scene,
         "frames": list(made.frame_ids),
-        "objects": [
-            {
-                "id": o.id,
-                "label": o.label,
-                "state": o.state,
-                "votes": {name: round(score, 4) for name, score in o.votes.items()},
-                "frames": dict(o.numbers),
-                "presence": dict(o.presence),
-                "center": list(o.center),
-                "low": list(o.low),
-                "high": list(o.high),
-            }
-            for o in made.objects
-        ],
-        "joins": [
-            {
-                "frame": j.frame_id,
-                "number": j.number,
-                "object": j.object_id,
-                "new": j.new,
-                "iou": round(j.iou, 4),
-                "second": round(j.second, 4),
-                "known": round(j.known, 4),
-                "same_name": j.same_name,
-                "doubtful": j.doubtful,
-            }
-            for j in made.joins
-        ],
-        "poses": [
-            {
-                "frames": [p.one, p.other],
-                "agree": None if p.agree is None else round(p.agree, 4),
-                "shared": round(p.shared, 4),
-            }
-            for p in made.agreements
-        ],
+        "objects": [{**_plain(o), "state": o.state} for o in made.objects],
+        "joins": [{**_plain(j), "doubtful": j.doubtful} for j in made.joins],
+        "poses": [{**_plain(p), "agree": None if p.agree is None else round(p.agree, 4)} for p in made.agreements],
+        "refinements": [{**_plain(r), "better": r.better} for r in made.refinements],
         "left_out": dict(made.left_out),
-        "names": dict(Counter(o.label for o in made.objects)),
     }
+
+
+def _plain(thing: Any) -> dict[str, Any]:
+    return {name: round(value, 6) if isinstance(value, float) else value for name, value in vars(thing).items()}

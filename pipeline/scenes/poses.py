@@ -7,25 +7,33 @@ the poses. Refinement is point-to-plane ICP with projective association (Chen an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import cv2
 import numpy as np
 
-from pipeline.geometry.surface import surface_normals
-from pipeline.scenes.views import View, Visibility
+from pipeline.geometry.surface import depth_noise
+from pipeline.scenes.views import View
 from pipeline.system.frozen import dataclass
 
 POINTS = 6_000
 """So many points of a view are compared."""
 LEAST_SHARED = 0.05
 """Views that share a smaller part of their points are not compared."""
+NOISES = 1.5
+"""A point is on a surface, or before it, by so many standard deviations of both depths: of 1.5, 2 and 3 the one that
+tells poses that are 1 cm off best, on rendered rooms."""
 STEPS, FARTHEST_M = 30, 0.10
 """Steps of refinement, and the distance beyond which two points are no match at first; it shrinks to a quarter."""
 LEAST_MATCHED = 200
 """With fewer matched points nothing is refined."""
 SETTLED = 1e-5
 """Metres and radians below which a step ends the refinement."""
+ALL_PAIRS, NEAR = 24, 4
+"""A view is compared with all views before it, or so many; of more with so many just before it and as many others that
+look alike."""
+DEVIATIONS, LEAST_BELOW, LEAST_AGREE = 4.0, 0.03, 0.5
+"""A view does not fit whose best agreement lies so many median absolute deviations, and at least so much, below the
+recording's median, or where fewer of the points than the last match."""
 
 
 @dataclass(frozen=True)
@@ -37,35 +45,42 @@ class PoseAgreement:
     matched: int  # Points of either view that lie on the other's surface
     through: int  # Points that the other view looks through
     shared: float  # Matched or looked through, of all compared points, 0..1
+    residual_m: float  # Median distance, along the rays, of the points within 10 cm of the other's surface
 
     @property
     def agree(self) -> float | None:
         """Share of the deciding points that match, 0..1; None for views that share too little."""
-        if self.shared < LEAST_SHARED:
-            return None
-        return self.matched / (self.matched + self.through)
+        return self.matched / (self.matched + self.through) if self.shared >= LEAST_SHARED else None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Refinement:
-    """A view's pose before and after refinement; nothing is changed by it."""
+    """A view's pose after refinement, and what it does; nothing is changed by it."""
 
     frame_id: str
-    T_world_camera: np.ndarray  # (4, 4) float64, refined
+    pose: tuple[tuple[float, ...], ...]  # T_world_camera (4, 4), refined
     moved_m: float  # Distance between the camera centres
     turned_deg: float
-    matched: int  # Points of the last step
     residual_before_m: float  # Median distance of matched points to the other views' planes
     residual_m: float
+    agree_before: float  # Best agreement with the other views, 0..1
+    agree: float
+    used: bool = False  # As the map's pose, because that was asked for
+
+    @property
+    def better(self) -> bool:
+        """Tell whether the views agree better with it, by more than chance, and the pose stays near."""
+        return self.agree > self.agree_before + LEAST_BELOW / 3 and self.moved_m <= FARTHEST_M
 
 
-def sampled(view: View, most: int = POINTS) -> np.ndarray:
+def sampled(view: View) -> np.ndarray:
     """World points of a view, evenly spread over its sharp pixels, (N, 3) float32, metres."""
-    points = view.points
-    return points[:: max(1, len(points) // most)]
+    v, u = view.pixels
+    step = max(1, len(v) // POINTS)
+    return view.world(v[::step], u[::step])
 
 
-def agreement(one: View, other: View, tolerance: float = 1.0) -> PoseAgreement:
+def agreement(one: View, other: View) -> PoseAgreement:
     """Compare two views under their poses.
 
     >>> from pipeline.datasets import demo_path, open_dataset
@@ -73,21 +88,30 @@ def agreement(one: View, other: View, tolerance: float = 1.0) -> PoseAgreement:
     >>> from pipeline.scenes.views import views_of
     >>> one, other = views_of(open_dataset(demo_path()), ("000001/000000", "000001/000001"))
     >>> round(agreement(one, other).agree, 2)
-    0.95
+    0.94
     """
     matched = through = compared = 0
+    near: list[np.ndarray] = []
     for seeing, seen in ((one, other), (other, one)):
         points = sampled(seen)
-        found = seeing.at(*seeing.project(points), tolerance)
-        matched += int(np.count_nonzero(found == Visibility.SEEN))
-        through += int(np.count_nonzero(found == Visibility.THROUGH))
+        v, u, z = seeing.project(points)
+        meets = (v >= 0) & seeing.sharp[v, u]
+        measured, z = seeing.depth[v[meets], u[meets]], z[meets]
+        apart = z - measured
+        slack = NOISES * np.hypot(depth_noise(measured), depth_noise(z))
+        matched += int(np.count_nonzero(np.abs(apart) <= slack))
+        through += int(np.count_nonzero(apart < -slack))
+        near.append(np.abs(apart)[np.abs(apart) < FARTHEST_M])
         compared += len(points)
-    return PoseAgreement(one.frame_id, other.frame_id, matched, through, (matched + through) / max(1, compared))
+    distances = np.concatenate(near)
+    residual = float(np.median(distances)) if len(distances) else 0.0
+    shared = (matched + through) / max(1, compared)
+    return PoseAgreement(one.frame_id, other.frame_id, matched, through, shared, residual)
 
 
-def agreements(views: Sequence[View], tolerance: float = 1.0) -> tuple[PoseAgreement, ...]:
-    """Compare each pair of views."""
-    return tuple(agreement(one, other, tolerance) for one, other in combinations(views, 2))
+def best_agreement(view: View, others: Sequence[View]) -> float:
+    """Best agreement of a view with others, 0..1; 0 where it shares too little with all."""
+    return max((agreement(other, view).agree or 0.0 for other in others), default=0.0)
 
 
 def refine(view: View, others: Sequence[View]) -> Refinement | None:
@@ -96,29 +120,21 @@ def refine(view: View, others: Sequence[View]) -> Refinement | None:
     Each step matches the view's points with the points that the other views measured at the same pixels, and moves the
     view by the least squares of the distances to those points' planes.
     """
-    points = sampled(view, POINTS)
-    surfaces = [(other, *surface_normals(other.depth, other.camera)) for other in others]
-    T, first, found, matched = np.eye(4), None, np.inf, 0
+    points, T = sampled(view), np.eye(4)
+    first, found = None, np.inf
     for step in range(STEPS):
         reach = FARTHEST_M * max(0.25, 1 - step / 10)
-        moved = points @ T[:3, :3].T + T[:3, 3]
-        rows, distances = [], []
-        for other, normals, known in surfaces:
-            p, n, d = _matches(moved, other, normals, known, reach)
-            rows.append(np.hstack([np.cross(p, n), n]))
-            distances.append(d)
-        A, d = np.concatenate(rows), np.concatenate(distances)
-        matched = len(d)
-        if matched < LEAST_MATCHED:
+        rows = [_matches(points @ T[:3, :3].T + T[:3, 3], other, reach) for other in others]
+        A, d = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        if len(d) < LEAST_MATCHED:
             return None
         found = float(np.median(np.abs(d)))
         first = found if first is None else first
         # Huber's weights: what moved between the views pulls less.
-        scale = max(1.5 * found, 1e-4)
-        w = np.minimum(1.0, scale / np.maximum(np.abs(d), 1e-9))
+        w = np.minimum(1.0, max(1.5 * found, 1e-4) / np.maximum(np.abs(d), 1e-9))
+        H = A.T @ (w[:, None] * A)
         # Where all surfaces are parallel nothing holds the view along them: the damping does.
-        damping = 1e-3 * np.trace(A.T @ (w[:, None] * A)) / 6 * np.eye(6)
-        x = np.linalg.solve(A.T @ (w[:, None] * A) + damping, -A.T @ (w * d))
+        x = np.linalg.solve(H + 1e-3 * np.trace(H) / 6 * np.eye(6), -A.T @ (w * d))
         change = np.eye(4)
         change[:3, :3], change[:3, 3] = cv2.Rodrigues(x[:3])[0], x[3:]
         T = change @ T
@@ -126,39 +142,37 @@ def refine(view: View, others: Sequence[View]) -> Refinement | None:
             break
     pose = T @ view.T_world_camera
     apart = np.linalg.inv(view.T_world_camera) @ pose
-    turned = np.rad2deg(np.arccos(np.clip((np.trace(apart[:3, :3]) - 1) / 2, -1, 1)))
-    return Refinement(
-        view.frame_id, pose, float(np.linalg.norm(apart[:3, 3])), float(turned), matched, first or 0.0, found
-    )
+    turned = np.rad2deg(np.linalg.norm(cv2.Rodrigues(apart[:3, :3])[0]))
+    before, after = best_agreement(view, others), best_agreement(view.moved(pose), others)
+    rows = tuple(map(tuple, pose.tolist()))
+    moved = float(np.linalg.norm(apart[:3, 3]))
+    return Refinement(view.frame_id, rows, moved, float(turned), first or 0.0, found, before, after)
 
 
-def _matches(
-    points: np.ndarray, other: View, normals: np.ndarray, known: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Matched world points, (N, 3), normals of the surfaces that they meet, (N, 3), world, and signed distances, (N,)."""
+def _matches(points: np.ndarray, other: View, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the least squares, (N, 6), of world points that meet a view's surface, and distances to it, (N,)."""
+    normals, known = other.normals
     v, u, z = other.project(points)
     meets = (v >= 0) & other.sharp[v, u] & known[v, u]
     meets[meets] = np.abs(z[meets] - other.depth[v[meets], u[meets]]) < reach
     v, u, p = v[meets], u[meets], points[meets].astype(np.float64)
     n = normals[v, u].astype(np.float64) @ other.T_world_camera[:3, :3].T
-    return p, n, np.einsum("ij,ij->i", p - other.world(v, u), n)
+    return np.hstack([np.cross(p, n), n]), np.einsum("ij,ij->i", p - other.world(v, u), n)
 
 
-ALL_PAIRS, NEAR = 24, 4
-"""Up to so many views each is compared with each; of more, each with so many before it and as many spread over the
-rest."""
-DEVIATIONS, LEAST_BELOW = 4.0, 0.05
-"""A view whose best agreement lies so many median absolute deviations, and at least so much, below the recording's
-median does not fit."""
+def partners(poses: Sequence[np.ndarray], place: int) -> tuple[int, ...]:
+    """Places of the earlier views that a view is compared with, in order; what comes later changes nothing.
 
-
-def compared(count: int) -> tuple[tuple[int, int], ...]:
-    """Pairs of views to compare, by index, the smaller first."""
-    if count <= ALL_PAIRS:
-        return tuple(combinations(range(count), 2))
-    spread = np.linspace(0, count - 1, NEAR).astype(int).tolist()
-    found = {(min(i, j), max(i, j)) for j in range(count) for i in (*range(max(0, j - NEAR), j), *spread) if i != j}
-    return tuple(sorted(found))
+    `poses`: T_world_camera (4, 4) of the views, metres.
+    """
+    if place <= ALL_PAIRS:
+        return tuple(range(place))
+    just = range(place - NEAR, place)
+    spread = range(0, place - NEAR, max(1, place // ALL_PAIRS))
+    T = np.stack([poses[i] for i in (*spread, place)])
+    # A metre apart is as unlike as 60 degrees turned.
+    unlike = np.linalg.norm(T[:-1, :3, 3] - T[-1, :3, 3], axis=1) + 2 * (1 - T[:-1, :3, 2] @ T[-1, :3, 2])
+    return tuple(sorted({*just, *(spread[k] for k in np.argsort(unlike, kind="stable")[:NEAR])}))
 
 
 def fits(found: Sequence[PoseAgreement]) -> dict[str, float]:
@@ -180,4 +194,5 @@ def misfits(best: Sequence[float] | np.ndarray) -> float:
     if not len(values):
         return 0.0
     middle = float(np.median(values))
-    return middle - max(DEVIATIONS * float(np.median(np.abs(values - middle))), LEAST_BELOW)
+    below = max(DEVIATIONS * float(np.median(np.abs(values - middle))), LEAST_BELOW)
+    return max(middle - below, LEAST_AGREE)

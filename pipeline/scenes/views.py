@@ -19,12 +19,13 @@ from pipeline.datasets.cameras import or_note
 from pipeline.geometry.camera import Camera, backproject, project, to_world
 from pipeline.geometry.cleaning import depth_edges, flying_pixels
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.surface import depth_noise
+from pipeline.geometry.surface import depth_noise, surface_normals
 from pipeline.system.errors import FrameUnusable, needed, require
 from pipeline.system.frozen import dataclass
 
 LEAST_TOLERANCE_M, NOISES = 0.02, 4.0
-"""A point is on a surface within so many metres, or so many standard deviations of a structured-light camera's depth."""
+"""A point is on a surface within so many metres, or so many standard deviations of a structured-light camera's
+depth."""
 
 
 class Visibility(IntEnum):
@@ -69,7 +70,10 @@ class View:
 
     def moved(self, T_world_camera: np.ndarray) -> View:
         """View with another pose."""
-        return replace(self, T_world_camera=T_world_camera)
+        made = replace(self, T_world_camera=T_world_camera)
+        # What is known of the depth stays.
+        made.__dict__.update({name: value for name, value in vars(self).items() if name in ("sharp", "normals")})
+        return made
 
     @property
     def size(self) -> tuple[int, int]:
@@ -78,15 +82,21 @@ class View:
 
     @cached_property
     def sharp(self) -> np.ndarray:
-        """Pixels with a depth that is of one surface, (H, W) bool: neither at a step of depth nor between two surfaces."""
+        """Pixels with a depth of one surface, (H, W) bool: neither at a step of depth nor between two surfaces."""
         return (self.depth > 0) & ~depth_edges(self.depth) & ~flying_pixels(self.depth)
 
-    @cached_property
+    @property
     def pixels(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the `sharp` pixels, (N,) int64 each."""
         return tuple(np.nonzero(self.sharp))  # pyright: ignore[reportReturnType]
 
     @cached_property
+    def normals(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unit normals, (H, W, 3) float32, camera frame, and where they are known, (H, W) bool."""
+        normals, known = surface_normals(self.depth, self.camera)
+        return normals.astype(np.float32), known
+
+    @property
     def points(self) -> np.ndarray:
         """World points of `pixels`, (N, 3) float32, metres."""
         return self.world(*self.pixels)
