@@ -8,6 +8,7 @@ reach, and not to where a labelled view looks past it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -22,8 +23,10 @@ LEAST_SEEN_PX = 4
 REACH_SHARE, REACH_M = 0.5, 0.05
 """An object may reach beyond what the labelled views show of it by this share of its longest side, and so many
 metres."""
-RIM_PX = 3
-"""Width of the strip at an outline in which an edge of the surface is looked for."""
+EDGE_LEVELS = 30
+"""Neighbouring colours that differ by so many of 255 levels in a channel are an edge."""
+DOUBTFUL = 0.3
+"""Below this confidence a mask is doubtful: of rendered rooms every fourth one was less than half right."""
 UNKNOWN, BACKGROUND = -2, -1
 
 
@@ -43,6 +46,22 @@ class LabelledView:
     view: View
     objects: tuple[LabelledObject, ...]
 
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """Place in `objects` of each pixel's, (H, W) int32, `BACKGROUND` for none; of nested masks the smaller one."""
+        out = np.full(self.view.size, BACKGROUND, np.int32)
+        for k in sorted(range(len(self.objects)), key=lambda k: -self.objects[k].mask.area):
+            crop = self.objects[k].mask
+            h, w = crop.mask.shape
+            out[crop.y : crop.y + h, crop.x : crop.x + w][crop.mask] = k
+        return out
+
+    @cached_property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sharp pixels of the objects: places in `objects`, (N,) int32, and world points, (N, 3) float32, metres."""
+        v, u = np.nonzero((self.owner >= 0) & self.view.sharp)
+        return self.owner[v, u], self.view.world(v, u)
+
 
 @dataclass(frozen=True)
 class Origin:
@@ -50,81 +69,110 @@ class Origin:
 
     frame_id: str
     number: int  # The frame's own number of the object
-    pixels: int  # Of the target, whose surface is seen there as this object
+    pixels: int  # Of the target, whose surface is seen there as this object's
 
 
 @dataclass(frozen=True, eq=False)
 class ProposedMask:
-    """Mask of an object in a view that is not labelled, with its evidence."""
+    """Mask of an object in another view, with its evidence."""
 
     object_id: int
     mask: MaskCrop
     area: int  # Pixels
     seen: float  # Share of the mask that a labelled view shows directly, 0..1
     measured: float  # Share of the mask with a depth, 0..1
-    edge: float  # Share of the object's outlines in the labelled views that are an edge of the surface, 0..1
+    kept: float  # Share of the object's labelled pixels that this view sees, and that the mask holds, 0..1
+    outline: float  # Share of the mask's rim on an edge of the surface or the colours, 0..1
     origins: tuple[Origin, ...]  # The one with the most pixels first
 
     @property
     def confidence(self) -> float:
-        """Trust in the mask, 0..1."""
-        return self.seen * self.measured
+        """Trust in the mask, 0..1: low for things without an edge, without depth, or seen from behind."""
+        return self.measured * self.kept * self.outline * self.seen**0.5
+
+    @property
+    def doubtful(self) -> bool:
+        """Tell a mask that a person should look at."""
+        return self.confidence < DOUBTFUL
 
 
 def propagate(sources: Sequence[LabelledView], target: View) -> tuple[ProposedMask, ...]:
-    """Propose masks in a view for the objects of labelled views; objects that it does not show are left out.
+    """Propose masks in a view for the objects of labelled views; what is not seen there is left out.
 
     Masks do not overlap: of nested objects the smaller lies on top.
+
+    >>> from pipeline.datasets import demo_path, open_dataset
+    >>> from pipeline.geometry.masks import MaskCrop
+    >>> from pipeline.scenes.propagation import LabelledObject, LabelledView, propagate
+    >>> from pipeline.scenes.views import View
+    >>> demo = open_dataset(demo_path())
+    >>> frame, other = demo.load("000001/000000"), demo.load("000001/000001")
+    >>> laptop = LabelledObject(2, 2, MaskCrop.of(frame.annotations[2].mask))
+    >>> (found,) = propagate([LabelledView(View.of(frame), (laptop,))], View.of(other))
+    >>> found.object_id, found.doubtful
+    (2, False)
     """
     ids = sorted({o.object_id for s in sources for o in s.objects})
+    places = [np.array([ids.index(o.object_id) for o in s.objects] + [BACKGROUND]) for s in sources]
     v, u = np.nonzero(target.depth > 0)
     points = target.world(v, u)
+    # By place in `ids`, the background first.
     votes = np.zeros((len(ids) + 1, len(v)), np.uint16)
     past = np.zeros((len(ids) + 1, len(v)), np.bool_)
-    pixels = np.zeros((len(sources), len(ids)), np.int64)
+    pixels = np.zeros((len(sources), len(ids) + 1), np.int64)
     for k, source in enumerate(sources):
-        owner = painted(source.view.size, [o.mask for o in source.objects], [ids.index(o.object_id) for o in source.objects])
-        sv, su, z = source.view.project(points)
-        state, own = source.view.at(sv, su, z), owner[sv, su]
-        direct = np.flatnonzero((state == Visibility.SEEN) & source.view.sharp[sv, su])
+        row, column, z = source.view.project(points)
+        state, own = source.view.at(row, column, z), places[k][source.owner[row, column]]
+        direct = np.flatnonzero((state == Visibility.SEEN) & source.view.sharp[row, column])
         votes[own[direct] + 1, direct] += 1
-        pixels[k] = np.bincount(own[direct] + 1, minlength=len(ids) + 1)[1:]
-        known = np.isin(ids, [o.object_id for o in source.objects])
+        pixels[k] = np.bincount(own[direct] + 1, minlength=len(ids) + 1)
+        # What is labelled there would have to show on both sides of what hides the place.
         beside = np.flatnonzero((state == Visibility.HIDDEN) & (own == BACKGROUND))
-        past[np.ix_(np.flatnonzero(known) + 1, beside)] = True
+        past[np.ix_(places[k][:-1] + 1, beside)] = True
     seen = np.full(target.size, UNKNOWN, np.int32)
     seen[v, u] = np.where(votes.any(axis=0), votes.argmax(axis=0) - 1, UNKNOWN)
     seen[~target.sharp] = UNKNOWN
     grown = _watershed(target.rgb, _apart(seen))
     own = grown[v, u]
-    gone = past[own + 1, np.arange(len(v))] | _beyond(sources, ids, own, points)
+    gone = past[own + 1, np.arange(len(v))] | _beyond(sources, places, len(ids), own, points)
     gone &= (own >= 0) & (seen[v, u] != own)
     grown[v[gone], u[gone]] = BACKGROUND
-    found = []
-    for i, object_id in enumerate(ids):
-        mask = grown == i
-        count = np.count_nonzero(mask & (seen == i))
-        if count < LEAST_SEEN_PX:
-            continue
-        area = int(np.count_nonzero(mask))
-        origins = [
-            Origin(s.view.frame_id, next(o.number for o in s.objects if o.object_id == object_id), int(n))
-            for s, n in zip(sources, pixels[:, i], strict=True)
-            if n
-        ]
-        measured = np.count_nonzero(mask & (target.depth > 0)) / area
-        origins.sort(key=lambda o: -o.pixels)
-        found.append(ProposedMask(object_id, MaskCrop.of(mask), area, count / area, measured, 1.0, tuple(origins)))
-    return tuple(found)
+    kept, edges = _kept(sources, places, len(ids), grown, target), _edges(target)
+    return tuple(
+        _proposed(sources, ids[i], pixels[:, i + 1], grown == i, seen == i, target.depth > 0, float(kept[i]), edges)
+        for i in range(len(ids))
+        if np.count_nonzero((grown == i) & (seen == i)) >= LEAST_SEEN_PX
+    )
 
 
-def painted(size: tuple[int, int], masks: Sequence[MaskCrop], values: Sequence[int]) -> np.ndarray:
-    """Value of each pixel's mask, (H, W) int32, `BACKGROUND` for none; of nested masks the smaller lies on top."""
-    out = np.full(size, BACKGROUND, np.int32)
-    for mask, value in sorted(zip(masks, values, strict=True), key=lambda pair: -pair[0].area):
-        h, w = mask.mask.shape
-        out[mask.y : mask.y + h, mask.x : mask.x + w][mask.mask] = value
-    return out
+def _proposed(
+    sources: Sequence[LabelledView],
+    object_id: int,
+    pixels: np.ndarray,
+    mask: np.ndarray,
+    seen: np.ndarray,
+    measured: np.ndarray,
+    kept: float,
+    edges: np.ndarray,
+) -> ProposedMask:
+    crop = MaskCrop.of(mask)
+    rim = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_GRADIENT, SQUARE) > 0
+    origins = (
+        Origin(source.view.frame_id, entry.number, int(n))
+        for source, n in zip(sources, pixels, strict=True)
+        for entry in source.objects
+        if entry.object_id == object_id and n
+    )
+    return ProposedMask(
+        object_id,
+        crop,
+        crop.area,
+        float(np.mean(seen[mask])),
+        float(np.mean(measured[mask])),
+        kept,
+        float(np.mean(edges[rim])),
+        tuple(sorted(origins, key=lambda o: -o.pixels)),
+    )
 
 
 def _apart(labels: np.ndarray) -> np.ndarray:
@@ -139,38 +187,57 @@ def _apart(labels: np.ndarray) -> np.ndarray:
 
 
 def _watershed(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Labels grown to all pixels, (H, W) int32, along the edges of the colours."""
+    """Labels grown to all pixels, (H, W) int32, along the edges of the colours, in a picture twice as large: the lines
+    between its basins are a pixel wide."""
+    size = 2 * labels.shape[1], 2 * labels.shape[0]
+    rgb, labels = cv2.resize(rgb, size), cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
     markers = np.where(labels == UNKNOWN, 0, labels + 2).astype(np.int32)
-    if not markers.any():
-        return np.full(labels.shape, BACKGROUND, np.int32)
-    cv2.watershed(np.ascontiguousarray(rgb), markers)
-    # The lines between the basins go to the neighbour with the most similar colour; border pixels need two steps.
+    cv2.watershed(rgb, markers)
+    # The lines go to the neighbour with the most similar colour; those at the border need more than one step.
+    colours = np.pad(rgb.astype(np.int16), ((1, 1), (1, 1), (0, 0)))
     for _ in range(3):
         v, u = np.nonzero(markers <= 0)
         own, around = rgb[v, u].astype(np.int16), np.pad(markers, 1)
-        colours = np.pad(rgb.astype(np.int16), ((1, 1), (1, 1), (0, 0)))
         best, nearest = np.full(len(v), np.inf), np.zeros(len(v), np.int32)
         for dv, du in np.ndindex(3, 3):
             label = around[v + dv, u + du]
-            apart = np.where(label > 0, np.abs(colours[v + dv, u + du] - own).sum(axis=1), np.inf)
-            nearer = apart < best
-            best[nearer], nearest[nearer] = apart[nearer], label[nearer]
+            unlike = np.where(label > 0, np.abs(colours[v + dv, u + du] - own).sum(axis=1), np.inf)
+            nearer = unlike < best
+            best[nearer], nearest[nearer] = unlike[nearer], label[nearer]
         markers[v, u] = nearest
-    return np.where(markers > 0, markers - 2, BACKGROUND)
+    return np.where(markers > 0, markers - 2, BACKGROUND)[::2, ::2].copy()
 
 
-def _beyond(sources: Sequence[LabelledView], ids: Sequence[int], own: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points, (N, 3), beyond the reach of their objects, (N,) bool; `own`, (N,): index of each point's object."""
-    low, high = np.full((len(ids), 3), np.inf), np.full((len(ids), 3), -np.inf)
-    for source in sources:
-        for entry in source.objects:
-            v, u = np.nonzero(entry.mask.mask)
-            v, u = v + entry.mask.y, u + entry.mask.x
-            sharp = source.view.sharp[v, u]
-            if sharp.any():
-                i = ids.index(entry.object_id)
-                ends = np.percentile(source.view.world(v[sharp], u[sharp]), [1, 99], axis=0)
-                low[i], high[i] = np.minimum(low[i], ends[0]), np.maximum(high[i], ends[1])
-    reach = REACH_SHARE * (high - low).max(axis=1, initial=0.0, keepdims=True) + REACH_M
-    low, high = low - reach, high + reach
-    return ((points < low[own]) | (points > high[own])).any(axis=1)
+def _beyond(
+    sources: Sequence[LabelledView], places: Sequence[np.ndarray], count: int, own: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Points, (N, 3), beyond the reach of their objects, (N,) bool; `own`, (N,): place of each point's object."""
+    low, high = np.full((count + 1, 3), np.inf), np.full((count + 1, 3), -np.inf)
+    for source, place in zip(sources, places, strict=True):
+        of, surface = source.surface
+        for k in np.unique(of):
+            ends, i = np.percentile(surface[of == k], [1, 99], axis=0), place[k]
+            low[i], high[i] = np.minimum(low[i], ends[0]), np.maximum(high[i], ends[1])
+    reach = REACH_SHARE * (high - low).max(axis=1, keepdims=True) + REACH_M
+    return ((points < (low - reach)[own]) | (points > (high + reach)[own])).any(axis=1)
+
+
+def _kept(
+    sources: Sequence[LabelledView], places: Sequence[np.ndarray], count: int, grown: np.ndarray, target: View
+) -> np.ndarray:
+    """Share of each object's labelled pixels that the target sees, and that `grown`, (H, W), gives to it, (count,)."""
+    totals = np.zeros((2, count), np.int64)
+    for source, place in zip(sources, places, strict=True):
+        of, surface = source.surface
+        v, u, z = target.project(surface)
+        on = target.at(v, u, z) == Visibility.SEEN
+        v, u, i = v[on], u[on], place[of[on]]
+        totals += [np.bincount(i, minlength=count), np.bincount(i[grown[v, u] == i], minlength=count)]
+    return totals[1] / np.maximum(totals[0], 1)
+
+
+def _edges(view: View) -> np.ndarray:
+    """Pixels beside an edge of the surface or the colours, (H, W) bool."""
+    bent = ~view.normals[1] | (view.depth <= 0)
+    levels = cv2.morphologyEx(view.rgb, cv2.MORPH_GRADIENT, SQUARE).max(axis=-1)
+    return (cv2.dilate(bent.view(np.uint8), SQUARE) > 0) | (levels >= EDGE_LEVELS)
