@@ -21,6 +21,7 @@ ROOMS = (
     "proposals",
     "relations",
     "answering",
+    "scenes",
     "drawing",
     "labels",
     "training",
