@@ -160,7 +160,7 @@ def _of_frame(
     wanted: dict[int, set[str]],
 ) -> Iterator[Proposal]:
     there = {n: actions.pixels_of(target, n) for n in (*target.objects, *target.left_out)}
-    matched = _matched(masks, there, target.size)
+    matched = _matched(masks, there)
     chosen = [m for m in masks if m.object_id in wanted]
     fresh = iter(actions.new_numbers(target, len(chosen)))
     for mask in chosen:
@@ -204,18 +204,19 @@ def _of_frame(
             yield Proposal(target.frame, match, new, row["label"], iou, source.frame, number, mask, made, kept)
 
 
-def _matched(
-    masks: Sequence[ProposedMask], there: dict[int, np.ndarray], size: tuple[int, int]
-) -> dict[int, tuple[int, float]]:
+def _matched(masks: Sequence[ProposedMask], there: dict[int, np.ndarray]) -> dict[int, tuple[int, float]]:
     """Object of a frame that each mask overlaps most, with their IoU, by the source's number; each object once."""
-    found: dict[int, tuple[int, float]] = {}
+    areas = {n: np.count_nonzero(pixels) for n, pixels in there.items()}
     pairs = []
     for order, mask in enumerate(masks):
-        own = mask.mask.of_picture(size)
-        for n, other in there.items():
-            iou = float(np.count_nonzero(own & other) / max(1, np.count_nonzero(own | other)))
+        own = mask.mask.mask
+        (h, w), y, x = own.shape, mask.mask.y, mask.mask.x
+        for n, pixels in there.items():
+            shared = np.count_nonzero(own & pixels[y : y + h, x : x + w])
+            iou = shared / (mask.area + areas[n] - shared)
             if iou >= SAME_IOU:
                 pairs.append((-iou, order, n, mask.object_id))
+    found: dict[int, tuple[int, float]] = {}
     for iou, _, n, number in sorted(pairs):
         if number not in found and n not in {match for match, _ in found.values()}:
             found[number] = n, -iou
