@@ -33,7 +33,7 @@ FIELDS = ("label", "mask", "box", "status")
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class CarriedObject:
     """An object of a frame carried to another frame, as edits that wait to be accepted."""
 
     frame: str  # The other frame
@@ -70,7 +70,7 @@ class FrameProposals:
     """Proposals for one frame, and the objects that are not seen in it."""
 
     frame: str
-    proposals: tuple[Proposal, ...]
+    proposals: tuple[CarriedObject, ...]
     unseen: tuple[int, ...]  # Numbers of the source frame
     agree: float | None  # Agreement of the two frames' surfaces under the poses used, 0..1; None: too little shared
     refinement: Refinement | None  # Of the frame's pose, where it was used
@@ -158,7 +158,7 @@ def _of_frame(
     seen: View,
     masks: Sequence[ProposedMask],
     wanted: dict[int, set[str]],
-) -> Iterator[Proposal]:
+) -> Iterator[CarriedObject]:
     there = {n: actions.pixels_of(target, n) for n in (*target.objects, *target.left_out)}
     matched = _matched(masks, there)
     chosen = [m for m in masks if m.object_id in wanted]
@@ -201,7 +201,7 @@ def _of_frame(
                 made += actions.set_status(target, object_ref(target.frame, match, "status"), status, reason)
             made = tuple(e for e in made if e.ref.field not in kept and e.after != e.before)
         if made or kept:
-            yield Proposal(target.frame, match, new, row["label"], iou, source.frame, number, mask, made, kept)
+            yield CarriedObject(target.frame, match, new, row["label"], iou, source.frame, number, mask, made, kept)
 
 
 def _matched(masks: Sequence[ProposedMask], there: dict[int, np.ndarray]) -> dict[int, tuple[int, float]]:

@@ -62,9 +62,20 @@ class LabelledView:
         v, u = np.nonzero((self.owner >= 0) & self.view.sharp)
         return self.owner[v, u], self.view.world(v, u)
 
+    @cached_property
+    def extents(self) -> np.ndarray:
+        """Lowest and highest world coordinates of each object without outliers, (2, K, 3), metres; infinite without
+        any."""
+        of, points = self.surface
+        out = np.full((2, len(self.objects), 3), np.inf)
+        out[1] = -np.inf
+        for k in np.unique(of):
+            out[:, k] = np.percentile(points[of == k], [1, 99], axis=0)
+        return out
+
 
 @dataclass(frozen=True)
-class Origin:
+class Sighting:
     """Sighting of an object in a labelled view from which its mask was carried."""
 
     frame_id: str
@@ -83,7 +94,7 @@ class ProposedMask:
     measured: float  # Share of the mask with a depth, 0..1
     kept: float  # Share of the object's labelled pixels that this view sees, and that the mask holds, 0..1
     outline: float  # Share of the mask's rim on an edge of the surface or the colours, 0..1
-    origins: tuple[Origin, ...]  # The one with the most pixels first
+    sightings: tuple[Sighting, ...]  # The one with the most pixels first
 
     @property
     def confidence(self) -> float:
@@ -157,8 +168,8 @@ def _proposed(
 ) -> ProposedMask:
     crop = MaskCrop.of(mask)
     rim = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_GRADIENT, SQUARE) > 0
-    origins = (
-        Origin(source.view.frame_id, entry.number, int(n))
+    sightings = (
+        Sighting(source.view.frame_id, entry.number, int(n))
         for source, n in zip(sources, pixels, strict=True)
         for entry in source.objects
         if entry.object_id == object_id and n
@@ -171,7 +182,7 @@ def _proposed(
         float(np.mean(measured[mask])),
         kept,
         float(np.mean(edges[rim])),
-        tuple(sorted(origins, key=lambda o: -o.pixels)),
+        tuple(sorted(sightings, key=lambda o: -o.pixels)),
     )
 
 
@@ -214,10 +225,8 @@ def _beyond(
     """Points, (N, 3), beyond the reach of their objects, (N,) bool; `own`, (N,): place of each point's object."""
     low, high = np.full((count + 1, 3), np.inf), np.full((count + 1, 3), -np.inf)
     for source, place in zip(sources, places, strict=True):
-        of, surface = source.surface
-        for k in np.unique(of):
-            ends, i = np.percentile(surface[of == k], [1, 99], axis=0), place[k]
-            low[i], high[i] = np.minimum(low[i], ends[0]), np.maximum(high[i], ends[1])
+        np.minimum.at(low, place[:-1], source.extents[0])
+        np.maximum.at(high, place[:-1], source.extents[1])
     reach = REACH_SHARE * (high - low).max(axis=1, keepdims=True) + REACH_M
     return ((points < (low - reach)[own]) | (points > (high + reach)[own])).any(axis=1)
 

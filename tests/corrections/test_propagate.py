@@ -11,14 +11,16 @@ from journal_world import FRAME, half_of, saved
 from pipeline.corrections import Corrector, Journal, set_box, set_class, set_status, undo
 from pipeline.corrections.journal.edits import add_object
 from pipeline.corrections.journal.field_refs import box_of, object_ref
-from pipeline.corrections.propagate import CARRIED, Proposal, proposals
+from pipeline.corrections.propagate import CARRIED, CarriedObject, proposals
 from pipeline.system.errors import InputError
 
 LAPTOP, LAMP, DESK = 2, 5, 0
 OTHERS = "000001/000001", "000001/000002"
 
 
-def proposed(corrector: Corrector, journal: Journal, numbers: Collection[int] | None = None) -> dict[str, Proposal]:
+def proposed(
+    corrector: Corrector, journal: Journal, numbers: Collection[int] | None = None
+) -> dict[str, CarriedObject]:
     """Proposals for the two other frames, of which each has one."""
     found = {one.frame: one.proposals for one in proposals(corrector, journal, FRAME, numbers)}
     return {frame: made[0] for frame, made in found.items() if made}

@@ -55,7 +55,7 @@ def test_a_mask_moves_with_its_object() -> None:
     assert found.seen > 0.8
     assert found.confidence > 0.7
     assert found.area == found.mask.area
-    assert [(o.frame_id, o.number) for o in found.origins] == [("at 0", 107)]
+    assert [(o.frame_id, o.number) for o in found.sightings] == [("at 0", 107)]
 
 
 @pytest.mark.parametrize(
@@ -115,8 +115,8 @@ def test_several_views_vote_and_are_named() -> None:
     sources = [labelled(view, o7=mask) for (view, _), mask in zip(views, masks, strict=True)]
     (found,) = propagate(sources, target)
     assert iou(found, truth == 1) > 0.95
-    assert {o.frame_id for o in found.origins} == {"at 0", "at 0.1", "at 0.2"}
-    assert [o.pixels for o in found.origins] == sorted((o.pixels for o in found.origins), reverse=True)
+    assert {o.frame_id for o in found.sightings} == {"at 0", "at 0.1", "at 0.2"}
+    assert [o.pixels for o in found.sightings] == sorted((o.pixels for o in found.sightings), reverse=True)
 
 
 def test_nothing_labelled_gives_nothing() -> None:
