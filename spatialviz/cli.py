@@ -45,6 +45,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "label, check, correct": {
         "label": ("cli_labels", "run_labels"),
+        "map": ("cli_scenes", "run_scenes"),
         "check": ("cli_labels", "run_check"),
         "audit": ("cli_labels", "run_review"),
         "show": ("cli_labels", "run_corrections"),

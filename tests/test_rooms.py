@@ -23,6 +23,7 @@ ROOMS = (
     "answering",
     "scenes",
     "drawing",
+    "scenes",
     "labels",
     "training",
     "diagnosis",

@@ -12,8 +12,9 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
 from pipeline.answering.pipeline import Pipeline
+from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.masks import MaskCrop
 from pipeline.language.noun_phrase import same_names
 from pipeline.scenes.views import View
@@ -21,16 +22,18 @@ from pipeline.scenes.voxels import BACKGROUND, UNSEEN, Voxels
 from pipeline.system.errors import require
 from pipeline.system.frozen import dataclass
 
-SAME_NAME = 0.1
-"""Worth of the same class name, beside an IoU."""
-LEAST_SCORE = 0.25
+SAME_NAME, WITHIN = 0.1, 0.5
+"""Worth of the same class name, beside an IoU, and, with it, of the smaller one's share that lies in the other, for
+masks drawn too narrow and too wide. Without the name it would join cups to their table."""
+LEAST_SCORE = 0.2
 """A match scores at least so much."""
 LEAST_SEEN = 0.1
 """Below this share of pixels whose place was seen before, a match is doubtful."""
 SAME_PLACE, SAME_PLACE_NAMED = 0.5, 0.25
 """Objects are one if they share this part of the smaller one's places; with the same name the second."""
 STRIDE = 2
-"""Every so many-th row and column of a view is compared."""
+"""Every so many-th row and column of a view is compared, but for objects of fewer than `SMALL` pixels."""
+SMALL = 200
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class Seen:
     label: str
     score: float  # 0..1
     mask: MaskCrop
+    kept: np.ndarray | None = None  # (h, w) bool, of the mask's crop: pixels that are the object's beyond doubt
 
 
 @dataclass(frozen=True)
@@ -91,24 +95,29 @@ class Joining:
         """Match the objects of the next view, and take them in."""
         numbers = [o.number for o in objects]
         require(len(set(numbers)) == len(numbers), f"frame {view.frame_id}: objects have the same number", got=numbers)
-        v, u = view.pixels
-        on_grid = (v % STRIDE == 0) & (u % STRIDE == 0)
-        v, u = v[on_grid], u[on_grid]
-        own = _painted(view.size, objects)[v, u]
+        painted, compared = _painted(view.sharp, objects)
+        v, u = np.nonzero(compared)
+        own = painted[v, u]
         points = view.world(v, u)
-        iou, known = _overlaps(own, self.voxels.owners(points), len(objects), len(self.votes))
+        iou, inner, known = _overlaps(own, self.voxels.owners(points), len(objects), len(self.votes))
         labels = [*(o.label for o in objects), *map(self.name, range(len(self.votes)))]
         named = same_names(labels)[: len(objects), len(objects) :]
-        found = self._matched(view.frame_id, objects, iou, known, named)
+        found = self._matched(view.frame_id, objects, iou, inner, known, named)
         ids = np.array([BACKGROUND, *(join.object_id for join in found)])
         self.voxels = self.voxels.added(points, ids[own + 1])
         self.joins.extend(found)
         return found
 
     def _matched(
-        self, view_id: str, objects: Sequence[Seen], iou: np.ndarray, known: np.ndarray, named: np.ndarray
+        self,
+        view_id: str,
+        objects: Sequence[Seen],
+        iou: np.ndarray,
+        inner: np.ndarray,
+        known: np.ndarray,
+        named: np.ndarray,
     ) -> tuple[Join, ...]:
-        score = np.where(iou > 0, iou + SAME_NAME * named, 0.0)
+        score = np.where(iou > 0, iou + named * (SAME_NAME + WITHIN * inner), 0.0)
         matched = dict(zip(*linear_sum_assignment(-score), strict=True)) if score.size else {}
         out = []
         for i, entry in enumerate(objects):
@@ -161,20 +170,40 @@ def elected(votes: Mapping[str, float]) -> str:
 def seen_objects(pipeline: Pipeline, prepared: PreparedFrame) -> tuple[Seen, ...]:
     """Objects of a frame as a pipeline's detector finds them, each with a mask."""
     objects = all_objects(prepared, pipeline.needed_detector())
-    return tuple(Seen(o.id if o.id >= 0 else place, o.label, o.score, o.held.crop) for place, o in enumerate(objects))
+    return tuple(
+        Seen(o.id if o.id >= 0 else place, o.label, o.score, o.held.crop, _kept(o, prepared.frame.depth))
+        for place, o in enumerate(objects)
+    )
 
 
-def _painted(size: tuple[int, int], objects: Sequence[Seen]) -> np.ndarray:
-    """Index of each pixel's object, (H, W) int32, -1 for none; of nested masks the smaller lies on top."""
-    out = np.full(size, -1, np.int32)
+def _kept(thing: SceneObject, depth: np.ndarray) -> np.ndarray | None:
+    """Pixels of an object's mask that lifting kept, (h, w) bool, of the mask's crop; None where it does not tell."""
+    crop, evidence = thing.held.crop, thing.lifted.evidence
+    if evidence is None:
+        return None
+    h, w = crop.mask.shape
+    return evidence.full(*depth.shape)[crop.y : crop.y + h, crop.x : crop.x + w] == Pixel.KEPT
+
+
+def _painted(sharp: np.ndarray, objects: Sequence[Seen]) -> tuple[np.ndarray, np.ndarray]:
+    """Index of each pixel's object, (H, W) int32, -1 for none, and the pixels to compare, (H, W) bool.
+
+    Of nested masks the smaller lies on top; what of a mask is not kept is nobody's.
+    """
+    grid = np.zeros(sharp.shape, np.bool_)
+    grid[::STRIDE, ::STRIDE] = True
+    own, compared = np.full(sharp.shape, -1, np.int32), sharp & grid
     for i in sorted(range(len(objects)), key=lambda i: -objects[i].mask.area):
         crop = objects[i].mask
         h, w = crop.mask.shape
-        out[crop.y : crop.y + h, crop.x : crop.x + w][crop.mask] = i
-    return out
+        part = np.s_[crop.y : crop.y + h, crop.x : crop.x + w]
+        kept = sharp[part] & crop.mask if (known := objects[i].kept) is None else known
+        own[part][crop.mask] = i
+        compared[part][crop.mask] = (kept if np.count_nonzero(kept) < SMALL else kept & grid[part])[crop.mask]
+    return own, compared
 
 
-def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, known: int) -> tuple[np.ndarray, np.ndarray]:
+def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, known: int) -> tuple[np.ndarray, ...]:
     """IoU of a view's objects with the scene's, (count, known), over pixels whose place was seen, and the share of such
     pixels of each of the view's, (count,).
 
@@ -187,4 +216,5 @@ def _overlaps(own: np.ndarray, owner: np.ndarray, count: int, known: int) -> tup
     table = table.reshape(count + 1, known + 1).astype(np.float64)
     both, mine, theirs = table[1:, 1:], table[1:].sum(axis=1), table[:, 1:].sum(axis=0)
     union = mine[:, None] + theirs - both
-    return both / np.maximum(union, 1), mine / np.maximum(whole, 1)
+    inner = both / np.maximum(np.minimum(mine[:, None], theirs), 1)
+    return both / np.maximum(union, 1), inner, mine / np.maximum(whole, 1)

@@ -29,7 +29,7 @@ from pipeline.system.frozen import dataclass
 Presence = Literal["seen", "hidden", "out", "missed", "gone"]
 """Of an object in a frame: found; behind something or where nothing was measured; outside the picture; its surface is
 seen, and nothing was found there; the place is looked through: it stood there at another time."""
-LEAST_IN_VIEW, LEAST_SURFACE, MOST_THROUGH = 0.1, 0.3, 0.5
+LEAST_IN_VIEW, LEAST_SURFACE, MOST_THROUGH = 0.25, 0.3, 0.5
 """Shares of an object's places: in view for it to be expected; on a surface for it to be missed; looked through for it
 to be gone."""
 PLACES = 400

@@ -80,7 +80,7 @@ def bad_poses(agreements: Sequence[PoseAgreement]) -> dict[str, str]:
     best = fits(agreements)
     least = misfits(list(best.values()))
     return {
-        i: f"its pose does not fit: surfaces agree by {agree:.2f} with other frames', usual is {least:.2f} and more"
+        i: f"its pose does not fit: {agree:.2f} of what other frames see too agrees, usual is {least:.2f} and more"
         for i, agree in best.items()
         if agree < least
     }

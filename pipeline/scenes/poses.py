@@ -28,12 +28,14 @@ LEAST_MATCHED = 200
 """With fewer matched points nothing is refined."""
 SETTLED = 1e-5
 """Metres and radians below which a step ends the refinement."""
+DAMPING = 1e-4
+"""Part of the least squares that holds a view where nothing else does: along surfaces that are all parallel."""
 ALL_PAIRS, NEAR = 24, 4
 """A view is compared with all views before it, or so many; of more with so many just before it and as many others that
 look alike."""
-DEVIATIONS, LEAST_BELOW, LEAST_AGREE = 4.0, 0.03, 0.5
-"""A view does not fit whose best agreement lies so many median absolute deviations, and at least so much, below the
-recording's median, or where fewer of the points than the last match."""
+DEVIATIONS, LEAST_BELOW, MORE_THROUGH, LEAST_AGREE = 4.0, 0.03, 0.5, 0.5
+"""A view does not fit whose best agreement lies so many median absolute deviations below the recording's median, and at
+least so much, and has so many more points looked through than is usual; or where fewer than the last match."""
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,12 @@ def refine(view: View, others: Sequence[View]) -> Refinement | None:
     view by the least squares of the distances to those points' planes.
     """
     points, T = sampled(view), np.eye(4)
+    # About the points' middle a radian moves them about as far as a metre does.
+    middle = points.mean(axis=0, dtype=np.float64) if len(points) else np.zeros(3)
     first, found = None, np.inf
     for step in range(STEPS):
         reach = FARTHEST_M * max(0.25, 1 - step / 10)
-        rows = [_matches(points @ T[:3, :3].T + T[:3, 3], other, reach) for other in others]
+        rows = [_matches(points @ T[:3, :3].T + T[:3, 3], other, reach, middle) for other in others]
         A, d = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         if len(d) < LEAST_MATCHED:
             return None
@@ -133,10 +137,10 @@ def refine(view: View, others: Sequence[View]) -> Refinement | None:
         # Huber's weights: what moved between the views pulls less.
         w = np.minimum(1.0, max(1.5 * found, 1e-4) / np.maximum(np.abs(d), 1e-9))
         H = A.T @ (w[:, None] * A)
-        # Where all surfaces are parallel nothing holds the view along them: the damping does.
-        x = np.linalg.solve(H + 1e-3 * np.trace(H) / 6 * np.eye(6), -A.T @ (w * d))
+        x = np.linalg.solve(H + DAMPING * np.trace(H) / 6 * np.eye(6), -A.T @ (w * d))
         change = np.eye(4)
-        change[:3, :3], change[:3, 3] = cv2.Rodrigues(x[:3])[0], x[3:]
+        change[:3, :3] = cv2.Rodrigues(x[:3])[0]
+        change[:3, 3] = x[3:] + middle - change[:3, :3] @ middle
         T = change @ T
         if np.abs(x).max() < SETTLED:
             break
@@ -149,7 +153,7 @@ def refine(view: View, others: Sequence[View]) -> Refinement | None:
     return Refinement(view.frame_id, rows, moved, float(turned), first or 0.0, found, before, after)
 
 
-def _matches(points: np.ndarray, other: View, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def _matches(points: np.ndarray, other: View, reach: float, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the least squares, (N, 6), of world points that meet a view's surface, and distances to it, (N,)."""
     normals, known = other.normals
     v, u, z = other.project(points)
@@ -157,7 +161,7 @@ def _matches(points: np.ndarray, other: View, reach: float) -> tuple[np.ndarray,
     meets[meets] = np.abs(z[meets] - other.depth[v[meets], u[meets]]) < reach
     v, u, p = v[meets], u[meets], points[meets].astype(np.float64)
     n = normals[v, u].astype(np.float64) @ other.T_world_camera[:3, :3].T
-    return np.hstack([np.cross(p, n), n]), np.einsum("ij,ij->i", p - other.world(v, u), n)
+    return np.hstack([np.cross(p - middle, n), n]), np.einsum("ij,ij->i", p - other.world(v, u), n)
 
 
 def partners(poses: Sequence[np.ndarray], place: int) -> tuple[int, ...]:
@@ -194,5 +198,6 @@ def misfits(best: Sequence[float] | np.ndarray) -> float:
     if not len(values):
         return 0.0
     middle = float(np.median(values))
-    below = max(DEVIATIONS * float(np.median(np.abs(values - middle))), LEAST_BELOW)
+    spread = float(np.median(np.abs(values - middle)))
+    below = max(DEVIATIONS * spread, LEAST_BELOW, MORE_THROUGH * (1 - middle))
     return max(middle - below, LEAST_AGREE)
