@@ -21,7 +21,6 @@ ROOMS = (
     "proposals",
     "relations",
     "answering",
-    "scenes",
     "drawing",
     "scenes",
     "labels",
