@@ -26,8 +26,8 @@ metres."""
 EDGE_LEVELS = 30
 """Neighbouring colours that differ by so many of 255 levels in a channel are an edge."""
 DOUBTFUL = 0.3
-"""Below this confidence a mask is doubtful: in rendered rooms one of three was less than half right, of the others one of
-forty."""
+"""Below this confidence a mask is doubtful: in rendered rooms one of three was less than half right, of the others one
+of forty."""
 UNKNOWN, BACKGROUND = -2, -1
 
 
