@@ -51,6 +51,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "show": ("cli_labels", "run_corrections"),
         "review": ("cli_labels", "run_review"),
         "correct": ("cli_labels", "run_corrections"),
+        "propagate": ("cli_labels", "run_propagate"),
         "undo": ("cli_labels", "run_corrections"),
         "journal": ("cli_labels", "run_corrections"),
         "export": ("cli_labels", "run_exchange"),

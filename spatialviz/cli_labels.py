@@ -270,6 +270,30 @@ class CorrectCommand(OnPictures):
     """The group that a try named which could not be saved: what was saved after all is not saved twice."""
 
 
+@dataclass(frozen=True)
+class PropagateCommand(OnPictures):
+    """Propose what people set in a frame for the scene's other frames, by their poses and depth; --accept saves it.
+
+    Pixels, class, 3D box and status of an object go to the object at the same place, else to a new one; what a person
+    set there stays. Exit status 1 for nothing to propose, or after somebody else's change.
+    """
+
+    frame: OneFrameArg
+    object: tuple[int, ...] = ()
+    """Only these objects, with pixels and class as they are, whoever set them. Default: all of which a person set
+    something."""
+    to: tuple[str, ...] = ()
+    """Only to these frames: ids, or indices. Default: all labelled frames of the scene with a pose."""
+    refine: Flag = False
+    """Refine the pose of each frame against this frame's surfaces, where they then agree better; no file is changed."""
+    accept: Flag = False
+    """Save the proposals in the journal, as one step that `undo` takes back."""
+    doubtful: Flag = False
+    """Save the doubtful ones too: seen from behind, without an edge, or without depth."""
+    author: str | None = None
+    """Who accepts them."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConfirmCommand(OfAnswer):
     """Ask, and confirm a pair of the answer as right: from then on answers are judged by the pair.

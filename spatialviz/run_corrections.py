@@ -105,7 +105,7 @@ def apply_edits(command: CorrectCommand, actions: list[Any]) -> int:
     dataset = command.source.open(labels) if needs_pictures(actions) or grows(labels) else None
     if grows(labels) and dataset is not None:
         labels = with_frames(labels, dataset, dict.fromkeys(a.frame for a in actions))
-    with command.journal.open(labels) as journal, _told_how_to_try_again():
+    with command.journal.open(labels) as journal, told_how_to_try_again():
         corrector = Corrector(labels, dataset)
         done = apply_actions(corrector, journal, actions, command.author, again=command.again)
         return _told(command, done, "saved", frames_of(corrector, journal))
@@ -138,7 +138,7 @@ def run_confirm(command: ConfirmCommand) -> int:
 
 def _undo_or_redo(command: OfPerson, way: Callable[..., Saved | Conflict | None], verb: str) -> int:
     labels = open_labels(command.labels)
-    with command.journal.open(labels, must_exist=True) as journal, _told_how_to_try_again():
+    with command.journal.open(labels, must_exist=True) as journal, told_how_to_try_again():
         done = way(journal, command.author, group=command.group, again=command.again)
         return _told(command, done, verb, frames_of(Corrector(labels), journal))
 
@@ -155,7 +155,7 @@ def run_effective(command: EffectiveCommand) -> None:
 
 
 @contextmanager
-def _told_how_to_try_again() -> Iterator[None]:
+def told_how_to_try_again() -> Iterator[None]:
     """Tell how to repeat after a database error; events already saved are named by the next try."""
     try:
         yield
