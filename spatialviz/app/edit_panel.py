@@ -221,8 +221,8 @@ _FITS = h.div(
 )
 
 
-def object_html(card: ObjectCard, name: str, color: RGB, named: bool) -> Element:
-    """Fields of a labelled object; `named` leaves out its class, which is named beside the question."""
+def object_html(card: ObjectCard, name: str, color: RGB, named: bool, strip: Child = None) -> Element:
+    """Fields of a labelled object and the strip of its frames; `named`: its class is named beside the question."""
     facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
     asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
@@ -238,6 +238,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, named: bool) -> Element
             _box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS),
             h.div(f"Fitted {card.fit}.", cls="dim") if card.fit else None,
         ),
+        strip=strip,
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 

@@ -88,6 +88,8 @@ LABEL_KEYS: Mapping[str, Rows] = {
         (",", "Previous object (Shift+Tab in the side views)", "next-object:-1"),
         *((str(k), f"Class {k} of the row of classes", f"digit:{k}") for k in range(1, 10)),
         ("Shift+F", "Look at the selected object", "focus"),
+        ("Shift+T", "The same object in the next frame", "same-object:1"),
+        ("Shift+Z", "The same object in the frame before", "same-object:-1"),
         ("Shift+O", "Name the class of the object", "class-focus"),
         ("Shift+J", "Fit the box to its points", "box-fit"),
     ),

@@ -8,15 +8,18 @@ from typing import Any, Literal
 
 import numpy as np
 import xxhash
+from pydantic import NonNegativeInt
 
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.edits import Edits, set_box, set_class
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
+from pipeline.corrections.label_editor import Target
 from pipeline.corrections.object_card import LabelView, back_to_automatic, bring_back, object_card
 from pipeline.corrections.review.decisions import UNNAMED
 from pipeline.corrections.scene import SideViews, drag_box, dragged, face_to_points, fit_to_points, side_views
+from pipeline.corrections.sightings import Sightings
 from pipeline.corrections.vocabulary import Vocabulary, by_digits, completions, vocabulary_of
 from pipeline.diagnosis.whatif.edit_words import box_with, number_of
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
@@ -26,11 +29,12 @@ from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.pictures.marks import edges_path, outline_path
 from pipeline.system.errors import InputError, needed, require
-from spatialviz.app.context import Context, command
+from spatialviz.app.context import Context, command, there
 from spatialviz.app.edit_panel import box_command, class_field, object_html, rejected_html, row
-from spatialviz.app.frames import jpeg_url
+from spatialviz.app.frames import WIDTH, jpeg_url
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import Element, button, h, panel
+from spatialviz.app.object_strip import strip_html
 from spatialviz.app.review_html import digits_row
 
 FARTHEST = 1000.0
@@ -45,6 +49,7 @@ class LabelObject(LabelPart):
         super().__init__(ctx)
         self._words: dict[str, Vocabulary] = {}
         self._asked: tuple[str, int, str] | None = None
+        self._seen: dict[str, Sightings] = {}
         ctx.editors.on_saved.append(self._learn)
 
     @property
@@ -115,6 +120,27 @@ class LabelObject(LabelPart):
         if source in self._words and given:
             self._words[source] = self._words[source].with_names(given)
 
+    # ---- other frames -----------------------------------------------------------------
+
+    @property
+    def _sightings(self) -> Sightings:
+        source = self.state.source
+        if source not in self._seen:
+            self._seen[source] = Sightings(self.location.labels)
+        return self._seen[source]
+
+    @command("object-at")
+    def look_at_object(self, number: NonNegativeInt, frame: str) -> None:
+        """Show an object of a frame."""
+        self.look_at(Target(frame, (number,)))
+
+    @command("same-object")
+    def step_frames(self, step: int) -> None:
+        """Show the same object in the next frame that it is labelled in, or the previous."""
+        number = needed(self.number, SELECT)
+        found = there(self._sightings.beside(self.state.frame_id, number, step))
+        self.look_at_object(found.number, found.frame)
+
     # ---- rejected objects ------------------------------------------------------------
 
     @command("object-back")
@@ -140,8 +166,8 @@ class LabelObject(LabelPart):
         """Set a number of a box, as of `box_command`: OF:center:AXIS:METRES, OF:size:AXIS:METRES, OF:yaw:DEGREES."""
         loaded, box, number = self.state.loaded, self._box, self.number
         of, what, *numbers = said.split(":")
-        there = number is not None and f"box-set:{of}" == box_command(self.state.frame_id, number)
-        require(there, "another object is selected by now: nothing was changed")
+        still = number is not None and f"box-set:{of}" == box_command(self.state.frame_id, number)
+        require(still, "another object is selected by now: nothing was changed")
         if loaded is None or box is None:
             return
         least, value = SMALLEST_SIDE if what == "size" else -FARTHEST, number_of(numbers[-1:])
@@ -165,9 +191,16 @@ class LabelObject(LabelPart):
         shown = panel(h.div(SELECT, cls="dim"))
         if number is not None and state.selected is not None:
             color = palette(state.dark)["truth"]
-            name = state.shown.names[state.selected]
-            shown = object_html(object_card(view.frame, number), name, color, named)
+            frames = self._sightings.of(view.frame.frame, number)
+            strip = strip_html(frames, view.frame.frame, self._picture)
+            shown = object_html(object_card(view.frame, number), state.shown.names[state.selected], color, named, strip)
         page.show("edit", shown, rejected_html(view.frame.left_out))
+
+    def _picture(self, frame: str) -> str:
+        """Address of a frame's picture."""
+        sources = self.ctx.shared.store.sources
+        number = self.ctx.shared.pictures.timeline(self.state.source).indices[frame]
+        return f"app/frame/{list(sources).index(self.state.source)}/{number}/{WIDTH}.jpg"
 
 
 CROP_MARGIN, CROP_LEAST = 0.35, 96
