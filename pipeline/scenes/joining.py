@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
 from pipeline.answering.pipeline import Pipeline
@@ -117,6 +116,9 @@ class Joining:
         known: np.ndarray,
         named: np.ndarray,
     ) -> tuple[Join, ...]:
+        # The program starts without it.
+        from scipy.optimize import linear_sum_assignment
+
         score = np.where(iou > 0, iou + named * (SAME_NAME + WITHIN * inner), 0.0)
         matched = dict(zip(*linear_sum_assignment(-score), strict=True)) if score.size else {}
         out = []

@@ -35,6 +35,8 @@ to be gone."""
 MOST_CONTRADICTED, LEAST_DECIDED = 0.65, 0.2
 """Share of an object's places on a surface or looked through that are looked through, above which it is doubtful: it
 was moved a little, or its mask or a pose is wrong. At least the second share of what is in view decides."""
+CHANCE = {"gone": 0.02, "contradicted": 0.05}
+"""Shares of the frames that have an object in view, up to which they are chance."""
 PLACES = 400
 """So many places of an object are looked for in each frame."""
 Progress = Callable[[str, int, int], None]
@@ -54,16 +56,19 @@ class WorldObject:
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     places: int  # Number of its voxels
-    contradicted: float  # Greatest share, of all frames, of its decided places that are looked through, 0..1
+    contradicted: int  # Frames that look through more than `MOST_CONTRADICTED` of its decided places
     other_place: int | None = None  # Id of the same thing at its other place, where it was moved
 
     @property
     def state(self) -> Literal["static", "moved", "doubtful"]:
-        """Tell an object whose place a frame looks through, and one that more miss than find, or that one
-        contradicts."""
+        """Tell an object whose place frames look through, and one that more miss than find, or that frames contradict.
+
+        Of many frames a few are chance.
+        """
         count = Counter(self.presence.values())
-        doubtful = count["missed"] > len(self.numbers) or self.contradicted > MOST_CONTRADICTED
-        return "moved" if count["gone"] else "doubtful" if doubtful else "static"
+        in_view = sum(count.values()) - count["out"]
+        doubtful = count["missed"] > len(self.numbers) or self.contradicted > CHANCE["contradicted"] * in_view
+        return "moved" if count["gone"] > CHANCE["gone"] * in_view else "doubtful" if doubtful else "static"
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,12 +205,12 @@ def _objects(joining: Joining, used: Sequence[str], posed: SceneViews, progress:
     places = {k: voxels.of(k) for k in kept}
     looked_for = [places[k][:: max(1, len(places[k]) // PLACES)] for k in kept]
     presence: dict[int, dict[str, Presence]] = {k: {} for k in kept}
-    contradicted = dict.fromkeys(kept, 0.0)
+    contradicted = dict.fromkeys(kept, 0)
     for done, frame_id in enumerate(used):
         progress("looking for objects", done, len(used))
         for k, (found, share) in zip(kept, presences(posed.view(frame_id), looked_for), strict=True):
             presence[k][frame_id] = "seen" if frame_id in numbers[k] else found
-            contradicted[k] = max(contradicted[k], round(share, 4))
+            contradicted[k] += share > MOST_CONTRADICTED
     out = []
     for k in kept:
         own = places[k] if len(places[k]) else np.zeros((1, 3))
