@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipeline.answering.objects import SceneObject
 from pipeline.proposals.base import Detector
 from pipeline.scenes.map_files import read_maps
 from pipeline.system.errors import require
@@ -14,14 +13,9 @@ from pipeline.system.frozen import dataclass
 
 @dataclass(frozen=True)
 class Instances:
-    """By frame and the detector's own number, the id of an object in its scene."""
+    """By frame and number of a labelled object, its id in the scene."""
 
     of_frame: Mapping[str, Mapping[int, int]]
-
-    def of(self, frame_id: str, objects: list[SceneObject]) -> list[int | None]:
-        """Ids of a frame's objects, in the order of their identities; None for what is in no map."""
-        known = self.of_frame.get(frame_id, {})
-        return [known.get(o.id if o.id >= 0 else place) for place, o in enumerate(objects)]
 
 
 def open_instances(folder: str, detector: Detector) -> Instances:

@@ -117,7 +117,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
         exact=detector.exact,
         network=labeller.network,
         given=given,
-        instances=None if labeller.instances is None else labeller.instances.of(frame_id, [*objects]),
+        instances=None if labeller.instances is None else labeller.instances.of_frame.get(frame_id, {}),
     )
     if not config.sentences:
         return labels

@@ -69,15 +69,15 @@ def label_objects(
     numbers: Sequence[int] | None = None,
     given: Sequence[GivenExpression] = (),
     expressions: bool = True,
-    instances: Sequence[int | None] | None = None,
+    instances: Mapping[int, int] | None = None,
 ) -> FrameLabels:
     """Rows of a frame with lifted objects.
 
     `objects`: in any order; those of one detector. `frame_index`: the frame's index in the dataset. `exact`: the
     objects are the dataset's own: their numbers are its annotations'. `numbers`: the objects' numbers, where they have
     some already. `given`: what the dataset itself says of its annotations: the relations under the profile `given`.
-    `expressions`: False for objects and relations alone. `instances`: the objects' ids in their scene; by default what
-    the dataset says.
+    `expressions`: False for objects and relations alone. `instances`: by number the objects' ids in their scene; by
+    default what the dataset says.
     """
     frame = context.frame
     if numbers is None:
@@ -94,8 +94,8 @@ def label_objects(
         }
         for k, (o, number, mask) in enumerate(zip(objects, numbers, masks, strict=True))
     ]
-    for row, instance in zip(rows, instances or (), strict=False):
-        row["instance"] = instance
+    if instances is not None:
+        rows = [row | {"instance": instances.get(number)} for row, number in zip(rows, numbers, strict=True)]
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
     judged = judge_list(context, [objects[k] for k in related], config, network)
     ids = [numbers[k] for k in related]

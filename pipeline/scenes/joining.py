@@ -116,6 +116,7 @@ class Joining:
         known: np.ndarray,
         named: np.ndarray,
     ) -> tuple[Join, ...]:
+        # The program starts without it.
         from scipy.optimize import linear_sum_assignment
 
         score = np.where(iou > 0, iou + named * (SAME_NAME + WITHIN * inner), 0.0)

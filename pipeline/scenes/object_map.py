@@ -32,6 +32,11 @@ seen, and nothing was found there; the place is looked through: it stood there a
 LEAST_IN_VIEW, LEAST_SURFACE, MOST_THROUGH = 0.25, 0.3, 0.5
 """Shares of an object's places: in view for it to be expected; on a surface for it to be missed; looked through for it
 to be gone."""
+MOST_CONTRADICTED, LEAST_DECIDED = 0.65, 0.2
+"""Share of an object's places on a surface or looked through that are looked through, above which it is doubtful: it
+was moved a little, or its mask or a pose is wrong. At least the second share of what is in view decides."""
+CHANCE = {"gone": 0.02, "contradicted": 0.05}
+"""Shares of the frames that have an object in view, up to which they are chance."""
 PLACES = 400
 """So many places of an object are looked for in each frame."""
 Progress = Callable[[str, int, int], None]
@@ -51,13 +56,19 @@ class WorldObject:
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     places: int  # Number of its voxels
+    contradicted: int  # Frames that look through more than `MOST_CONTRADICTED` of its decided places
     other_place: int | None = None  # Id of the same thing at its other place, where it was moved
 
     @property
     def state(self) -> Literal["static", "moved", "doubtful"]:
-        """Tell an object whose place some frame looks through, and one that more frames miss than find."""
+        """Tell an object whose place frames look through, and one that more miss than find, or that frames contradict.
+
+        Of many frames a few are chance.
+        """
         count = Counter(self.presence.values())
-        return "moved" if count["gone"] else "doubtful" if count["missed"] > len(self.numbers) else "static"
+        in_view = sum(count.values()) - count["out"]
+        doubtful = count["missed"] > len(self.numbers) or self.contradicted > CHANCE["contradicted"] * in_view
+        return "moved" if count["gone"] > CHANCE["gone"] * in_view else "doubtful" if doubtful else "static"
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,17 +205,18 @@ def _objects(joining: Joining, used: Sequence[str], posed: SceneViews, progress:
     places = {k: voxels.of(k) for k in kept}
     looked_for = [places[k][:: max(1, len(places[k]) // PLACES)] for k in kept]
     presence: dict[int, dict[str, Presence]] = {k: {} for k in kept}
+    contradicted = dict.fromkeys(kept, 0)
     for done, frame_id in enumerate(used):
         progress("looking for objects", done, len(used))
-        for k, found in zip(kept, presences(posed.view(frame_id), looked_for), strict=True):
+        for k, (found, share) in zip(kept, presences(posed.view(frame_id), looked_for), strict=True):
             presence[k][frame_id] = "seen" if frame_id in numbers[k] else found
+            contradicted[k] += share > MOST_CONTRADICTED
     out = []
     for k in kept:
         own = places[k] if len(places[k]) else np.zeros((1, 3))
         low, high, center = (tuple(np.round(f(own, axis=0), 4).tolist()) for f in (np.min, np.max, np.mean))
-        out.append(
-            WorldObject(k, elected(votes[k]), votes[k], numbers[k], presence[k], center, low, high, len(places[k]))
-        )
+        where = (center, low, high, len(places[k]), contradicted[k])
+        out.append(WorldObject(k, elected(votes[k]), votes[k], numbers[k], presence[k], *where))
     return _linked(out)
 
 
@@ -221,8 +233,9 @@ def _linked(objects: Sequence[WorldObject]) -> tuple[WorldObject, ...]:
     return tuple(replace(o, other_place=pairs.get(o.id)) for o in objects)
 
 
-def presences(view: View, objects: Sequence[np.ndarray]) -> list[Presence]:
-    """Presence in a view of objects that are not found there, by their places, (N, 3) each, world, metres."""
+def presences(view: View, objects: Sequence[np.ndarray]) -> list[tuple[Presence, float]]:
+    """Presence in a view of objects, by their places, (N, 3) each, world, metres, if they are not found there, and the
+    share of their decided places that it looks through."""
     if not objects:
         return []
     found = view.at(*view.project(np.concatenate(objects)))
@@ -232,13 +245,15 @@ def presences(view: View, objects: Sequence[np.ndarray]) -> list[Presence]:
     return [_presence(row) for row in counts]
 
 
-def _presence(counts: np.ndarray) -> Presence:
-    inside = counts.sum() - counts[Visibility.OUT]
+def _presence(counts: np.ndarray) -> tuple[Presence, float]:
+    inside = int(counts.sum() - counts[Visibility.OUT])
     if inside <= LEAST_IN_VIEW * counts.sum():
-        return "out"
-    if counts[Visibility.THROUGH] > MOST_THROUGH * inside:
-        return "gone"
-    return "missed" if counts[Visibility.SEEN] > LEAST_SURFACE * inside else "hidden"
+        return "out", 0.0
+    through, seen = int(counts[Visibility.THROUGH]), int(counts[Visibility.SEEN])
+    share = through / (through + seen) if through + seen > LEAST_DECIDED * inside else 0.0
+    if through > MOST_THROUGH * inside:
+        return "gone", share
+    return "missed" if seen > LEAST_SURFACE * inside else "hidden", share
 
 
 def map_record(made: SceneMap) -> dict[str, Any]:
