@@ -141,8 +141,11 @@ def ask_world(pipeline: Pipeline, world: WorldFrame, text: str) -> Trace:
 def presence_from(world: WorldFrame, number: int) -> Presence:
     """Presence of an object in the viewpoint's picture, by depth alone where the frame is not of the map."""
     found = next(o for o in world.made.objects if o.id == number)
-    known = found.presence.get(world.frame.id)
-    return known or presences(View.of(world.frame, world.pose), [world.made.voxels.of(number)])[0]
+    if world.frame.id in found.presence:
+        return found.presence[world.frame.id]
+    ((presence, _),) = presences(View.of(world.frame, world.pose), [world.made.voxels.of(number)])
+    # Nobody has looked for objects in an imagined picture.
+    return "seen" if presence == "missed" else presence
 
 
 def _world_up(pipeline: Pipeline, made: SceneMap) -> np.ndarray:
