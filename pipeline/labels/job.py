@@ -346,6 +346,8 @@ def label_dataset(
     chosen: dict[str, Any] = {"frames_a_shard": frames_a_shard, "limit": limit, "frames_of": frames_of}
     plan = make_plan(spec.absolute(), config, **chosen, out=out, like=like)
     open_second_opinion(config.second_opinion)
+    if config.map:
+        open_instances(config.map, plan.spec.open(config).needed_detector())
     if engine == "ray":
         extra_module("ray.data", "the engine ray", "cluster")
 

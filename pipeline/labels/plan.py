@@ -158,7 +158,7 @@ def make_plan(
         {
             "detector": f"{detector.name}: {detector.fingerprint()}",
             "second_opinion": fingerprint(config.second_opinion),
-            **({"map": contents_hash(Path(config.map))} if config.map else {}),
+            **({"map": _maps_hash(Path(config.map))} if config.map else {}),
             **_declared(spec.options),
         },
         _input_hash(source, out, like),
@@ -166,6 +166,11 @@ def make_plan(
         detector.exact,
         frames_a_shard,
     )
+
+
+def _maps_hash(folder: Path) -> str:
+    require(folder.is_dir(), "no object maps here", expected="what `spatialviz map` wrote", path=folder)
+    return contents_hash(folder)
 
 
 def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
