@@ -91,6 +91,14 @@ def _compared(folder: Path) -> list[object]:
     return ["--run", RUN, "--compare", second_run(folder / "second"), "--journal", folder / "journal.sqlite"]
 
 
+def _mapped(folder: Path) -> list[object]:
+    """Labels that know which objects of a scene's frames are one."""
+    maps, labels = folder / "maps", folder / "labels"
+    for words in (["map", "demo", "000001/000000", "--out", maps], ["label", "demo", "--out", labels, "--map", maps]):
+        subprocess.run([sys.executable, "-m", "spatialviz", *map(str, words)], check=True, capture_output=True)
+    return ["demo", "--labels", labels, "--journal", folder / "journal.sqlite"]
+
+
 def _bare(folder: Path) -> list[object]:
     recording = folder / "rec"
     return [recording, "--detector", "recorded", "--model", write_recording(recording)]
@@ -102,6 +110,7 @@ KINDS: dict[str, Callable[[Path], Iterable[object]]] = {
     "demo": lambda _: [],
     "lost": lambda _: ["demo"],
     "guarded": lambda _: ["demo", "--host", "0.0.0.0"],
+    "mapped": _mapped,
     "reviewed": lambda folder: ["demo", "--journal", folder / "journal.sqlite"],
     "corrected": lambda folder: [
         "demo",

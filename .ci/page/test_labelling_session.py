@@ -221,3 +221,27 @@ def test_answers_are_judged(bare: Server, open_tab: OpenTab, frames: range) -> N
 def judged(labels: Path) -> list[dict]:
     """The sentences that were judged to be true, by the journal."""
     return [e for e in events(labels) if e["field"] == "exists" and e["kind"] == "expression"]
+
+
+def test_an_object_is_followed_through_its_frames(mapped: Server, open_tab: OpenTab) -> None:
+    """Its crops stand beside its numbers; a click and a key show it there, and its own crop is marked."""
+    tab = open_tab(f"{mapped.address}/?frame=000001/000000&mode=label", scene="absent")
+    tab.see("[data-mode=label] #review-head input")
+    tab.drawer("Edit")
+    tab.send("object-at:2:000001/000000")
+    crops = tab.page.locator("#edit .sighting")
+    tab.see("#edit .sighting.shown")
+    assert crops.count() == 3
+    assert crops.nth(2).get_attribute("title") == "laptop 1 in 000001/000002"
+    crops.nth(2).click()
+    assert tab.other_frame("000001/000000") == "000001/000002"
+    tab.see("#edit h2", "laptop 1")
+    tab.press("Shift+Z")
+    assert tab.other_frame("000001/000002") == "000001/000001"
+    tab.see("#edit .sighting.shown[title='laptop 2 in 000001/000001']")
+    sides = tab.page.evaluate(
+        "[...document.querySelectorAll('#edit .sighting')].map(e => e.getBoundingClientRect().top)"
+    )
+    assert len(set(sides)) == 1, "in one row"
+    widths = "[...document.querySelectorAll('#edit .sighting img')].map(e => e.naturalWidth)"
+    tab.poll(f"{widths}.every(w => w > 0)")
