@@ -9,7 +9,7 @@ from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.base import scene_of, scenes_of
 from pipeline.language.counted import counted
 from pipeline.scenes.map_files import map_path, read_map, save_map
-from pipeline.scenes.object_map import SceneMap, map_record, map_scene
+from pipeline.scenes.object_map import ObjectMap, map_record, map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.system.errors import FrameUnusable
 from spatialviz.cli_labels import MapCommand
@@ -30,7 +30,7 @@ def run_map(command: MapCommand) -> int:
     return FINE if whole else NO
 
 
-def _maps(command: MapCommand, source: Pipeline) -> Iterator[SceneMap]:
+def _maps(command: MapCommand, source: Pipeline) -> Iterator[ObjectMap]:
     """Make and save the map of each asked scene; FrameUnusable where none has poses."""
     dataset = source.dataset
     if command.frame == ALL_FRAMES:
@@ -60,7 +60,7 @@ def _maps(command: MapCommand, source: Pipeline) -> Iterator[SceneMap]:
     warn(*(f"left out: {error}" for error in unposed))
 
 
-def print_map(made: SceneMap) -> None:
+def print_map(made: ObjectMap) -> None:
     """Print the objects of a scene, residuals of its poses by pair, refinements, and the frames that were left out."""
     states = Counter(o.state for o in made.objects)
     told = "".join(f", {states[state]} {state}" for state in ("moved", "doubtful") if states[state])

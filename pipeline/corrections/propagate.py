@@ -21,7 +21,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.geometry.masks import MaskCrop
 from pipeline.scenes.poses import Refinement, agreement, refine
 from pipeline.scenes.propagation import LabelledObject, LabelledView, ProposedMask, propagate
-from pipeline.scenes.views import View, posed_frames
+from pipeline.scenes.views import PosedView, posed_frames
 from pipeline.system.errors import needed, require
 from pipeline.system.frozen import dataclass
 
@@ -121,11 +121,11 @@ def proposals(
     posed = posed_frames(dataset, frame)
     astray = [i for i in (frame, *(to or ())) if i not in posed]
     require(not astray, f"no posed frames of the scene of {frame}", got=astray[:5])
-    view = View.of(dataset.load(frame))
+    view = PosedView.of(dataset.load(frame))
     standing = _labelled(source, view, source.objects)
     gone = _labelled(source, view, wanted.keys() & source.left_out.keys())
     for other in [i for i in posed if i != frame and i in corrector.index.of_frame] if to is None else to:
-        seen, refinement = View.of(dataset.load(other)), None
+        seen, refinement = PosedView.of(dataset.load(other)), None
         if refined and (found := refine(seen, [view])) is not None and found.better:
             seen, refinement = seen.moved(np.array(found.pose)), found
         masks = [*propagate([standing], seen), *(propagate([gone], seen) if gone.objects else ())]
@@ -146,7 +146,7 @@ def _fields(source: EffectiveFrame, number: int, named: bool) -> set[str]:
     return fields | {"label", "mask"} if named and number in source.objects else fields
 
 
-def _labelled(source: EffectiveFrame, view: View, numbers: Collection[int]) -> LabelledView:
+def _labelled(source: EffectiveFrame, view: PosedView, numbers: Collection[int]) -> LabelledView:
     masks = {n: MaskCrop.of(actions.pixels_of(source, n)) for n in sorted(numbers)}
     return LabelledView(view, tuple(LabelledObject(n, n, crop) for n, crop in masks.items() if crop.area))
 
@@ -154,8 +154,8 @@ def _labelled(source: EffectiveFrame, view: View, numbers: Collection[int]) -> L
 def _of_frame(
     source: EffectiveFrame,
     target: EffectiveFrame,
-    view: View,
-    seen: View,
+    view: PosedView,
+    seen: PosedView,
     masks: Sequence[ProposedMask],
     wanted: dict[int, set[str]],
 ) -> Iterator[CarriedObject]:

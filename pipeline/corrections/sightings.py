@@ -9,7 +9,7 @@ from pipeline.system.frozen import dataclass
 
 
 @dataclass(frozen=True)
-class Sighting:
+class LabelledSighting:
     """A labelled object in a frame."""
 
     frame: str
@@ -33,7 +33,7 @@ class Sightings:
         frames = labels.frames.select(["frame", "scene", "width", "height"]).to_pylist()
         known = {row["frame"]: row for row in frames}
         self._instance: dict[tuple[str, int], tuple[str, int]] = {}
-        self._found: defaultdict[tuple[str, int], list[Sighting]] = defaultdict(list)
+        self._found: defaultdict[tuple[str, int], list[LabelledSighting]] = defaultdict(list)
         columns = ["frame", "object", "label", "instance", "bbox"]
         for row in labels.objects.select(columns).to_pylist():
             frame = known.get(row["frame"])
@@ -42,14 +42,16 @@ class Sightings:
             key = frame["scene"], row["instance"]
             self._instance[row["frame"], row["object"]] = key
             size = frame["height"], frame["width"]
-            self._found[key].append(Sighting(row["frame"], row["object"], row["label"], tuple(row["bbox"]), size))
+            self._found[key].append(
+                LabelledSighting(row["frame"], row["object"], row["label"], tuple(row["bbox"]), size)
+            )
 
-    def of(self, frame: str, number: int) -> tuple[Sighting, ...]:
+    def of(self, frame: str, number: int) -> tuple[LabelledSighting, ...]:
         """Frames of an object in the labels' order, this one among them; empty without an instance."""
         key = self._instance.get((frame, number))
         return () if key is None else tuple(self._found[key])
 
-    def beside(self, frame: str, number: int, step: int) -> Sighting | None:
+    def beside(self, frame: str, number: int, step: int) -> LabelledSighting | None:
         """The next frame of an object, or the previous; None at the end."""
         found = self.of(frame, number)
         at = next((k for k, s in enumerate(found) if s.frame == frame), None)

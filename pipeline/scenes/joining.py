@@ -16,7 +16,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.masks import MaskCrop
 from pipeline.language.noun_phrase import same_names
-from pipeline.scenes.views import View
+from pipeline.scenes.views import PosedView
 from pipeline.scenes.voxels import BACKGROUND, UNSEEN, Voxels
 from pipeline.system.errors import require
 from pipeline.system.frozen import dataclass
@@ -74,10 +74,10 @@ class Joining:
 
     >>> from pipeline.answering.pipeline import open_pipeline
     >>> from pipeline.scenes.joining import Joining, seen_objects
-    >>> from pipeline.scenes.views import View
+    >>> from pipeline.scenes.views import PosedView
     >>> demo, joining = open_pipeline("demo"), Joining()
     >>> for frame in (demo.prepare(0), demo.prepare(1)):
-    ...     joined = joining.add(View.of(frame.frame), seen_objects(demo, frame))
+    ...     joined = joining.add(PosedView.of(frame.frame), seen_objects(demo, frame))
     >>> sum(not join.new for join in joined), len(joined)
     (19, 29)
     """
@@ -90,7 +90,7 @@ class Joining:
         for join in self.joins:
             vote(self.votes, join.object_id, join)
 
-    def add(self, view: View, objects: Sequence[Sighting]) -> tuple[Join, ...]:
+    def add(self, view: PosedView, objects: Sequence[Sighting]) -> tuple[Join, ...]:
         """Match the objects of the next view, and take them in."""
         numbers = [o.number for o in objects]
         require(len(set(numbers)) == len(numbers), f"frame {view.frame_id}: objects have the same number", got=numbers)

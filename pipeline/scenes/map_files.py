@@ -11,7 +11,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from pipeline.scenes.joining import Join, Joining
-from pipeline.scenes.object_map import SceneMap, WorldObject
+from pipeline.scenes.object_map import ObjectMap, WorldObject
 from pipeline.scenes.poses import PoseAgreement, Refinement
 from pipeline.scenes.voxels import Voxels
 from pipeline.system.errors import as_input_error, require
@@ -45,7 +45,7 @@ def map_path(folder: Path, scene: str) -> Path:
     return folder / f"{quote(scene, safe=' ')}{SUFFIX}"
 
 
-def save_map(made: SceneMap, folder: Path) -> Path:
+def save_map(made: ObjectMap, folder: Path) -> Path:
     """Write a scene's map into a folder, made if missing; the same map gives the same bytes; see `write_whole`."""
     table: dict[str, Any] = {name: getattr(made, name) for name in ("scene", "settings", "listed", "left_out")}
     table |= {"version": VERSION, "posed": list(made.poses), "joins": [vars(j) for j in made.joining.joins]}
@@ -69,7 +69,7 @@ def _stacked(poses: Any) -> np.ndarray:
     return np.array(list(poses.values()), np.float64).reshape(-1, 4, 4)
 
 
-def read_map(path: Path) -> SceneMap:
+def read_map(path: Path) -> ObjectMap:
     """Read a scene's map.
 
     Raises
@@ -104,7 +104,7 @@ def read_map(path: Path) -> SceneMap:
     sound = sound and declared.shape == poses.shape == (len(table.posed), 4, 4)
     voxels = Voxels(pairs, counts)
     require(sound and voxels.sizes().keys() <= {-1, *ids}, wrong, path=path)
-    return SceneMap(
+    return ObjectMap(
         table.scene,
         table.settings,
         table.listed,
@@ -118,7 +118,7 @@ def read_map(path: Path) -> SceneMap:
     )
 
 
-def read_maps(folder: Path) -> dict[str, SceneMap]:
+def read_maps(folder: Path) -> dict[str, ObjectMap]:
     """Read all maps of a folder, by scene, in the order of names; InputError for none, or a broken one."""
     paths = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
     require(

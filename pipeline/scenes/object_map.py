@@ -21,7 +21,7 @@ from pipeline.language.noun_phrase import same_names
 from pipeline.scenes.joining import Join, Joining, elected, seen_objects, vote
 from pipeline.scenes.pose_fit import SceneViews, bad_poses
 from pipeline.scenes.poses import PoseAgreement, Refinement
-from pipeline.scenes.views import View, Visibility
+from pipeline.scenes.views import PosedView, Visibility
 from pipeline.scenes.voxels import Voxels
 from pipeline.system.errors import InputError
 from pipeline.system.frozen import dataclass
@@ -72,7 +72,7 @@ class WorldObject:
 
 
 @dataclass(frozen=True, eq=False)
-class SceneMap:
+class ObjectMap:
     """World objects of a scene, the evidence of each join, and the frames that were left out."""
 
     scene: str
@@ -111,15 +111,15 @@ def map_scene(
     pipeline: Pipeline,
     scene: str,
     frame_ids: Iterable[str],
-    known: SceneMap | None = None,
+    known: ObjectMap | None = None,
     refined: bool = False,
     progress: Progress = lambda what, done, total: None,
-) -> SceneMap:
+) -> ObjectMap:
     """Join the objects of a scene's posed frames, in the dataset's order.
 
     Parameters
     ----------
-    known : SceneMap, optional
+    known : ObjectMap, optional
         A map of the first of these frames, which is gone on from where dataset, poses and detector are the same.
     refined : bool
         Use refined poses where the views agree better with them.
@@ -165,14 +165,14 @@ def map_scene(
             try:
                 frame = dataset.load(frame_id)
                 objects = seen_objects(pipeline, prepare_frame(dataset, frame, pipeline.config.lift, boxes=False))
-                joining.add(View.of(frame, posed.poses[frame_id]), objects)
+                joining.add(PosedView.of(frame, posed.poses[frame_id]), objects)
             except InputError as error:
                 unread[frame_id] = str(error)
     left_out = {i: {**bad, **unread}[i] for i in listed if i in bad or i in unread}
     used = [i for i in listed if i not in left_out]
     objects = _objects(joining, used, posed, progress)
     offered = posed.refinements if refined else [r for i in bad if (r := posed.refinement(i, used)) is not None]
-    return SceneMap(
+    return ObjectMap(
         scene,
         settings,
         listed,
@@ -186,7 +186,7 @@ def map_scene(
     )
 
 
-def _continued(pipeline: Pipeline, known: SceneMap, listed: Sequence[str], settings: Mapping[str, str]) -> bool:
+def _continued(pipeline: Pipeline, known: ObjectMap, listed: Sequence[str], settings: Mapping[str, str]) -> bool:
     """Tell whether a map is of the first of these frames, under the same settings and declared poses."""
     if known.settings != settings or known.listed != listed[: len(known.listed)]:
         return False
@@ -233,7 +233,7 @@ def _linked(objects: Sequence[WorldObject]) -> tuple[WorldObject, ...]:
     return tuple(replace(o, other_place=pairs.get(o.id)) for o in objects)
 
 
-def presences(view: View, objects: Sequence[np.ndarray]) -> list[tuple[Presence, float]]:
+def presences(view: PosedView, objects: Sequence[np.ndarray]) -> list[tuple[Presence, float]]:
     """Presence in a view of objects, by their places, (N, 3) each, world, metres, if they are not found there, and the
     share of their decided places that it looks through."""
     if not objects:
@@ -256,7 +256,7 @@ def _presence(counts: np.ndarray) -> tuple[Presence, float]:
     return "missed" if seen > LEAST_SURFACE * inside else "hidden", share
 
 
-def map_record(made: SceneMap) -> dict[str, Any]:
+def map_record(made: ObjectMap) -> dict[str, Any]:
     """JSON-able record of a map: objects, joins, agreement of poses by pair, refinements, frames left out."""
     return {
         "scene": made.scene,

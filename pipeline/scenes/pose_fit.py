@@ -20,7 +20,7 @@ from pipeline.scenes.poses import (
     partners,
     refine,
 )
-from pipeline.scenes.views import View
+from pipeline.scenes.views import PosedView
 from pipeline.system.errors import FrameUnusable, needed
 from pipeline.system.recent import Recent
 
@@ -34,18 +34,20 @@ class SceneViews:
         self.poses: dict[str, np.ndarray] = {}
         self.agreements: list[PoseAgreement] = []
         self.refinements: list[Refinement] = []
-        self._views: Recent[tuple[str, bytes], View] = Recent(ALL_PAIRS)
+        self._views: Recent[tuple[str, bytes], PosedView] = Recent(ALL_PAIRS)
 
-    def view(self, frame_id: str) -> View:
+    def view(self, frame_id: str) -> PosedView:
         """View of a frame under the pose that is used; InputError for a broken frame."""
         pose = self.poses[frame_id]
-        return self._views.get((frame_id, pose.tobytes()), lambda: View.of(load_picture(self.dataset, frame_id), pose))
+        return self._views.get(
+            (frame_id, pose.tobytes()), lambda: PosedView.of(load_picture(self.dataset, frame_id), pose)
+        )
 
     def add(self, frame_id: str) -> None:
         """Compare the next frame with earlier ones, and refine its pose; InputError for a broken frame."""
         earlier = list(self.poses)
         pose = needed(load_pose(self.dataset, frame_id), f"frame {frame_id} has no pose", error=FrameUnusable)
-        view = View.of(load_picture(self.dataset, frame_id), pose)
+        view = PosedView.of(load_picture(self.dataset, frame_id), pose)
         self._hold(view)
         self.declared[frame_id] = view.T_world_camera
         others = [self.view(earlier[i]) for i in partners([*self.poses.values()], len(earlier))]
@@ -57,11 +59,11 @@ class SceneViews:
                 found = [agreement(other, self.view(frame_id)) for other in others]
         self.agreements.extend(found)
 
-    def _hold(self, view: View) -> None:
+    def _hold(self, view: PosedView) -> None:
         self.poses[view.frame_id] = view.T_world_camera
         self._views.get((view.frame_id, view.T_world_camera.tobytes()), lambda: view)
 
-    def _refined(self, view: View, found: Sequence[PoseAgreement]) -> Refinement | None:
+    def _refined(self, view: PosedView, found: Sequence[PoseAgreement]) -> Refinement | None:
         shared = [pair for pair in found if pair.agree is not None]
         most = sorted(shared, key=lambda pair: (-pair.shared, pair.one))[:NEAR]
         made = refine(view, [self.view(pair.one) for pair in most]) if most else None

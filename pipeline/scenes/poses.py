@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.surface import depth_noise
-from pipeline.scenes.views import View
+from pipeline.scenes.views import PosedView
 from pipeline.system.frozen import dataclass
 
 POINTS = 6_000
@@ -75,14 +75,14 @@ class Refinement:
         return self.agree > self.agree_before + LEAST_BELOW / 3 and self.moved_m <= FARTHEST_M
 
 
-def sampled(view: View) -> np.ndarray:
+def sampled(view: PosedView) -> np.ndarray:
     """World points of a view, evenly spread over its sharp pixels, (N, 3) float32, metres."""
     v, u = view.pixels
     step = max(1, len(v) // POINTS)
     return view.world(v[::step], u[::step])
 
 
-def agreement(one: View, other: View) -> PoseAgreement:
+def agreement(one: PosedView, other: PosedView) -> PoseAgreement:
     """Compare two views under their poses.
 
     >>> from pipeline.datasets import demo_path, open_dataset
@@ -111,12 +111,12 @@ def agreement(one: View, other: View) -> PoseAgreement:
     return PoseAgreement(one.frame_id, other.frame_id, matched, through, shared, residual)
 
 
-def best_agreement(view: View, others: Sequence[View]) -> float:
+def best_agreement(view: PosedView, others: Sequence[PosedView]) -> float:
     """Best agreement of a view with others, 0..1; 0 where it shares too little with all."""
     return max((agreement(other, view).agree or 0.0 for other in others), default=0.0)
 
 
-def refine(view: View, others: Sequence[View]) -> Refinement | None:
+def refine(view: PosedView, others: Sequence[PosedView]) -> Refinement | None:
     """Refine a view's pose against the surfaces of other views; None where too little is shared.
 
     Each step matches the view's points with the points that the other views measured at the same pixels, and moves the
@@ -153,7 +153,7 @@ def refine(view: View, others: Sequence[View]) -> Refinement | None:
     return Refinement(view.frame_id, rows, moved, float(turned), first or 0.0, found, before, after)
 
 
-def _matches(points: np.ndarray, other: View, reach: float, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _matches(points: np.ndarray, other: PosedView, reach: float, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the least squares, (N, 6), of world points that meet a view's surface, and distances to it, (N,)."""
     normals, known = other.normals
     v, u, z = other.project(points)

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.geometry.cleaning import SQUARE
 from pipeline.geometry.masks import MaskCrop
-from pipeline.scenes.views import View, Visibility
+from pipeline.scenes.views import PosedView, Visibility
 from pipeline.system.frozen import dataclass
 
 LEAST_SEEN_PX = 4
@@ -44,7 +44,7 @@ class LabelledObject:
 class LabelledView:
     """A view with the masks of all its objects; what is in none is background."""
 
-    view: View
+    view: PosedView
     objects: tuple[LabelledObject, ...]
 
     @cached_property
@@ -108,7 +108,7 @@ class ProposedMask:
         return self.confidence < DOUBTFUL
 
 
-def propagate(sources: Sequence[LabelledView], target: View) -> tuple[ProposedMask, ...]:
+def propagate(sources: Sequence[LabelledView], target: PosedView) -> tuple[ProposedMask, ...]:
     """Propose masks in a view for the objects of labelled views; what is not seen there is left out.
 
     Masks do not overlap: of nested objects the smaller lies on top.
@@ -116,11 +116,11 @@ def propagate(sources: Sequence[LabelledView], target: View) -> tuple[ProposedMa
     >>> from pipeline.datasets import demo_path, open_dataset
     >>> from pipeline.geometry.masks import MaskCrop
     >>> from pipeline.scenes.propagation import LabelledObject, LabelledView, propagate
-    >>> from pipeline.scenes.views import View
+    >>> from pipeline.scenes.views import PosedView
     >>> demo = open_dataset(demo_path())
     >>> frame, other = demo.load("000001/000000"), demo.load("000001/000001")
     >>> laptop = LabelledObject(2, 2, MaskCrop.of(frame.annotations[2].mask))
-    >>> (found,) = propagate([LabelledView(View.of(frame), (laptop,))], View.of(other))
+    >>> (found,) = propagate([LabelledView(PosedView.of(frame), (laptop,))], PosedView.of(other))
     >>> found.object_id, found.doubtful
     (2, False)
     """
@@ -233,7 +233,7 @@ def _beyond(
 
 
 def _kept(
-    sources: Sequence[LabelledView], places: Sequence[np.ndarray], count: int, grown: np.ndarray, target: View
+    sources: Sequence[LabelledView], places: Sequence[np.ndarray], count: int, grown: np.ndarray, target: PosedView
 ) -> np.ndarray:
     """Share of each object's labelled pixels that the target sees, and that `grown`, (H, W), gives to it, (count,)."""
     totals = np.zeros((2, count), np.int64)
@@ -246,7 +246,7 @@ def _kept(
     return totals[1] / np.maximum(totals[0], 1)
 
 
-def _edges(view: View) -> np.ndarray:
+def _edges(view: PosedView) -> np.ndarray:
     """Pixels beside an edge of the surface or the colours, (H, W) bool."""
     bent = ~view.normals[1] | (view.depth <= 0)
     levels = cv2.morphologyEx(view.rgb, cv2.MORPH_GRADIENT, SQUARE).max(axis=-1)

@@ -44,12 +44,12 @@ class Visibility(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PosedView:
     """Colour and depth of a posed frame.
 
     >>> from pipeline.datasets import demo_path, open_dataset
-    >>> from pipeline.scenes.views import View
-    >>> view = View.of(open_dataset(demo_path()).load("000001/000000"))
+    >>> from pipeline.scenes.views import PosedView
+    >>> view = PosedView.of(open_dataset(demo_path()).load("000001/000000"))
     >>> view.at(*view.project(view.points[:1]))
     array([2], dtype=uint8)
     """
@@ -61,14 +61,14 @@ class View:
     T_world_camera: np.ndarray  # (4, 4) float64, as used
 
     @classmethod
-    def of(cls, frame: Frame, T_world_camera: np.ndarray | None = None) -> View:
+    def of(cls, frame: Frame, T_world_camera: np.ndarray | None = None) -> PosedView:
         """View of a frame, by its own pose or another; FrameUnusable without either."""
         frame.camera.check_metric()
         own = frame.camera.T_world_camera if T_world_camera is None else T_world_camera
         pose = needed(own, f"frame {frame.id} has no pose", error=FrameUnusable)
         return cls(frame.id, frame.rgb, frame.depth, frame.camera, np.asarray(pose, np.float64))
 
-    def moved(self, T_world_camera: np.ndarray) -> View:
+    def moved(self, T_world_camera: np.ndarray) -> PosedView:
         """View with another pose."""
         made = replace(self, T_world_camera=T_world_camera)
         # What is known of the depth stays.
@@ -147,7 +147,7 @@ def posed_frames(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
     return found
 
 
-def views_of(dataset: Dataset, frame_ids: Iterable[str]) -> Iterator[View]:
+def views_of(dataset: Dataset, frame_ids: Iterable[str]) -> Iterator[PosedView]:
     """Load posed views in turn; InputError for a broken frame."""
     for frame_id in frame_ids:
-        yield View.of(dataset.load(frame_id))
+        yield PosedView.of(dataset.load(frame_id))

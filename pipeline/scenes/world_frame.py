@@ -21,8 +21,8 @@ from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
 from pipeline.language.naming import match
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector, Proposals
-from pipeline.scenes.object_map import Presence, SceneMap, WorldObject, presences
-from pipeline.scenes.views import View
+from pipeline.scenes.object_map import ObjectMap, Presence, WorldObject, presences
+from pipeline.scenes.views import PosedView
 from pipeline.scenes.voxels import VOXEL_M, centers_of
 from pipeline.system.errors import require
 
@@ -53,7 +53,7 @@ class WorldFrame(PreparedFrame):
     'mug'
     """
 
-    def __init__(self, frame: Frame, made: SceneMap, pose: np.ndarray, config: LiftConfig | None = None) -> None:
+    def __init__(self, frame: Frame, made: ObjectMap, pose: np.ndarray, config: LiftConfig | None = None) -> None:
         points = {o.id: to_world(made.voxels.of(o.id), np.linalg.inv(pose)).astype(np.float32) for o in made.objects}
         bboxes = {number: _bbox(own, frame.camera) for number, own in points.items()}
         found = tuple(Annotation(o.id, o.label, bboxes[o.id]) for o in made.objects)
@@ -78,7 +78,7 @@ class WorldFrame(PreparedFrame):
         return LiftedObject(points, box, sure, *extents(points, box, self.viewer), None, quality)
 
 
-def from_frame(pipeline: Pipeline, made: SceneMap, frame_id: str) -> WorldFrame:
+def from_frame(pipeline: Pipeline, made: ObjectMap, frame_id: str) -> WorldFrame:
     """Scene from a frame of it, in whose axes relations are judged; InputError for a frame that was not joined."""
     require(
         frame_id in made.poses,
@@ -91,7 +91,7 @@ def from_frame(pipeline: Pipeline, made: SceneMap, frame_id: str) -> WorldFrame:
     return WorldFrame(prepared.frame, made, made.poses[frame_id], pipeline.config.lift)
 
 
-def imagined(pipeline: Pipeline, made: SceneMap, at: str, facing: str) -> WorldFrame:
+def imagined(pipeline: Pipeline, made: ObjectMap, at: str, facing: str) -> WorldFrame:
     """Scene for somebody who stands at one object and faces another, each named by its class.
 
     InputError for a name that the scene has no object of, or more than one, and for objects above each other.
@@ -122,7 +122,7 @@ def imagined(pipeline: Pipeline, made: SceneMap, at: str, facing: str) -> WorldF
     return WorldFrame(frame, made, pose, pipeline.config.lift)
 
 
-def named_object(made: SceneMap, name: str) -> WorldObject:
+def named_object(made: ObjectMap, name: str) -> WorldObject:
     """The one object of a scene with a class name; InputError for none or several."""
     labels = tuple(dict.fromkeys(o.label for o in made.objects))
     meant = match(name, labels)
@@ -143,12 +143,12 @@ def presence_from(world: WorldFrame, number: int) -> Presence:
     found = next(o for o in world.made.objects if o.id == number)
     if world.frame.id in found.presence:
         return found.presence[world.frame.id]
-    ((presence, _),) = presences(View.of(world.frame, world.pose), [world.made.voxels.of(number)])
+    ((presence, _),) = presences(PosedView.of(world.frame, world.pose), [world.made.voxels.of(number)])
     # Nobody has looked for objects in an imagined picture.
     return "seen" if presence == "missed" else presence
 
 
-def _world_up(pipeline: Pipeline, made: SceneMap) -> np.ndarray:
+def _world_up(pipeline: Pipeline, made: ObjectMap) -> np.ndarray:
     """Up of the scene, (3,), world: the mean over its frames."""
     ups = []
     for frame_id in made.frame_ids[:UP_FRAMES]:

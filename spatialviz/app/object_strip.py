@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from pipeline.corrections.sightings import Sighting
+from pipeline.corrections.sightings import LabelledSighting
 from spatialviz.app.markup import Element, button, h, heading
 
 CROP = 72
@@ -15,7 +15,7 @@ MOST = 60
 """So many frames around the shown one."""
 
 
-def strip_html(found: Sequence[Sighting], frame: str, picture: Callable[[str], str]) -> Element | None:
+def strip_html(found: Sequence[LabelledSighting], frame: str, picture: Callable[[str], str]) -> Element | None:
     """Crops of an object in all frames; None for an object of one frame. `picture` gives the address of a frame's."""
     at = next((k for k, s in enumerate(found) if s.frame == frame), 0)
     first = max(0, min(at - MOST // 2, len(found) - MOST))
@@ -31,7 +31,7 @@ def strip_html(found: Sequence[Sighting], frame: str, picture: Callable[[str], s
     return h.div(head, h.div(crops, cls="strip"))
 
 
-def _crop(seen: Sighting, here: bool, address: str) -> Element:
+def _crop(seen: LabelledSighting, here: bool, address: str) -> Element:
     """Crop out of the frame's picture, which is scaled and moved behind a square."""
     x0, y0, x1, y1 = seen.bbox
     height, width = seen.size

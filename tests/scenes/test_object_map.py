@@ -12,7 +12,7 @@ from posed_worlds import SCENE, Planted, boxes_at, demo
 
 from pipeline.geometry import Annotation, Frame
 from pipeline.scenes.map_files import map_path, read_map, read_maps, save_map
-from pipeline.scenes.object_map import SceneMap, map_record, map_scene
+from pipeline.scenes.object_map import ObjectMap, map_record, map_scene
 from pipeline.scenes.voxels import BACKGROUND, Voxels
 from pipeline.system.errors import InputError
 
@@ -105,12 +105,12 @@ def test_a_scene_in_which_nothing_is_found_is_a_map_without_objects() -> None:
 
 
 @pytest.fixture(scope="module")
-def small() -> SceneMap:
+def small() -> ObjectMap:
     pipeline = boxes_at([{"box": A}] * 2)
     return map_scene(pipeline, "a/b", pipeline.dataset.frame_ids)
 
 
-def test_a_map_that_was_saved_is_read_as_it_was(small: SceneMap, tmp_path: Path) -> None:
+def test_a_map_that_was_saved_is_read_as_it_was(small: ObjectMap, tmp_path: Path) -> None:
     path = save_map(small, tmp_path)
     assert path == map_path(tmp_path, "a/b")
     (scene, read), *others = read_maps(tmp_path).items()
@@ -119,7 +119,7 @@ def test_a_map_that_was_saved_is_read_as_it_was(small: SceneMap, tmp_path: Path)
     assert save_map(read, tmp_path / "again").read_bytes() == path.read_bytes()
 
 
-def test_a_damaged_map_is_refused_in_a_line(small: SceneMap, tmp_path: Path) -> None:
+def test_a_damaged_map_is_refused_in_a_line(small: ObjectMap, tmp_path: Path) -> None:
     path = save_map(small, tmp_path)
     data = path.read_bytes()
     with np.load(path) as arrays:

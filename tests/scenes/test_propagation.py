@@ -11,7 +11,7 @@ from pipeline.datasets import Dataset
 from pipeline.geometry import Camera, intrinsics
 from pipeline.geometry.masks import MaskCrop
 from pipeline.scenes.propagation import LabelledObject, LabelledView, ProposedMask, propagate
-from pipeline.scenes.views import View
+from pipeline.scenes.views import PosedView
 
 HEIGHT, WIDTH, FOCAL = 120, 160, 150.0
 GREY, RED, BLUE = (150, 150, 150), (200, 40, 30), (30, 60, 200)
@@ -21,8 +21,8 @@ WALL: Patch = ((-9, -9, 9, 9), 2.0, GREY)
 BOX: Patch = ((-0.2, -0.2, 0.2, 0.2), 1.5, RED)
 
 
-def seen_from(x: float, patches: Sequence[Patch], name: str = "") -> tuple[View, np.ndarray]:
-    """View of patches, and the index of the patch that each pixel shows."""
+def seen_from(x: float, patches: Sequence[Patch], name: str = "") -> tuple[PosedView, np.ndarray]:
+    """PosedView of patches, and the index of the patch that each pixel shows."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     depth, shown = np.full((HEIGHT, WIDTH), np.inf), np.full((HEIGHT, WIDTH), -1)
     for k, ((x0, y0, x1, y1), z, _) in enumerate(patches):
@@ -33,10 +33,10 @@ def seen_from(x: float, patches: Sequence[Patch], name: str = "") -> tuple[View,
     T[0, 3] = x
     rgb = np.array([color for *_, color in patches], np.uint8)[shown]
     camera = Camera(intrinsics(FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2), WIDTH, HEIGHT, T)
-    return View(name or f"at {x:g}", rgb, depth.astype(np.float32), camera, T), shown
+    return PosedView(name or f"at {x:g}", rgb, depth.astype(np.float32), camera, T), shown
 
 
-def labelled(view: View, **masks: np.ndarray) -> LabelledView:
+def labelled(view: PosedView, **masks: np.ndarray) -> LabelledView:
     """A view with objects "o7" of the world's number 7, which the frame calls 107."""
     found = {int(name[1:]): MaskCrop.of(mask) for name, mask in masks.items()}
     return LabelledView(view, tuple(LabelledObject(k, 100 + k, mask) for k, mask in found.items()))
@@ -99,7 +99,7 @@ def test_missing_depth_costs_confidence() -> None:
     (view, shown), (target, truth) = (seen_from(x, (WALL, BOX)) for x in (0.0, 0.1))
     (whole,) = propagate([labelled(view, o7=shown == 1)], target)
     target.depth[:60] = 0
-    holed = View(target.frame_id, target.rgb, target.depth, target.camera, target.T_world_camera)
+    holed = PosedView(target.frame_id, target.rgb, target.depth, target.camera, target.T_world_camera)
     (found,) = propagate([labelled(view, o7=shown == 1)], holed)
     assert iou(found, truth == 1) > 0.9
     assert found.measured < 0.6
@@ -135,11 +135,11 @@ def test_objects_of_a_room_are_found_from_the_other_side(demo_dataset: Dataset) 
         near = [k for k, other in enumerate(known) if np.abs(other - place).max() < 0.002]
         return near[0] if near else -1
 
-    source = labelled(View.of(frames[0]), **{f"o{k}": a.mask for k, a in enumerate(frames[0].annotations)})  # pyright: ignore
+    source = labelled(PosedView.of(frames[0]), **{f"o{k}": a.mask for k, a in enumerate(frames[0].annotations)})  # pyright: ignore
     overlaps, wrong = [], 0
     for frame, centers in zip(frames[1:], places[1:], strict=True):
         truth = {world_id(p): a.mask for p, a in zip(centers, frame.annotations, strict=True)}
-        found = {p.object_id: p for p in propagate([source], View.of(frame))}
+        found = {p.object_id: p for p in propagate([source], PosedView.of(frame))}
         wrong += sum(k not in truth for k, p in found.items() if p.area >= 100)
         overlaps += [iou(p, truth[k]) for k, p in found.items() if k in truth and truth[k].sum() >= 100]  # pyright: ignore
     assert len(overlaps) > 25

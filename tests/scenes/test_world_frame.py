@@ -6,7 +6,7 @@ import pytest
 from pipeline.answering.answer_words import holds
 from pipeline.answering.objects import all_objects
 from pipeline.answering.pipeline import Pipeline, open_pipeline
-from pipeline.scenes.object_map import SceneMap, map_scene
+from pipeline.scenes.object_map import ObjectMap, map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.scenes.world_frame import ask_world, from_frame, imagined, presence_from
 from pipeline.system import InputError
@@ -20,11 +20,11 @@ def pipeline() -> Pipeline:
 
 
 @pytest.fixture(scope="module")
-def made(pipeline: Pipeline) -> SceneMap:
+def made(pipeline: Pipeline) -> ObjectMap:
     return map_scene(pipeline, "000001", posed_frames(pipeline.dataset, FRAME))
 
 
-def test_what_the_frame_sees_stands_where_it_sees_it(pipeline: Pipeline, made: SceneMap) -> None:
+def test_what_the_frame_sees_stands_where_it_sees_it(pipeline: Pipeline, made: ObjectMap) -> None:
     world, prepared = from_frame(pipeline, made, FRAME), pipeline.prepare(FRAME)
     own = {o.id: o for o in all_objects(prepared, pipeline.needed_detector())}
     seen = [(o.id, o.numbers[FRAME]) for o in made.objects if FRAME in o.numbers]
@@ -37,7 +37,7 @@ def test_what_the_frame_sees_stands_where_it_sees_it(pipeline: Pipeline, made: S
         assert ((center > low) & (center < high)).any(), (own[of_frame], center)
 
 
-def test_what_the_frame_does_not_see_is_answered(pipeline: Pipeline, made: SceneMap) -> None:
+def test_what_the_frame_does_not_see_is_answered(pipeline: Pipeline, made: ObjectMap) -> None:
     text = "pillow on the armchair"
     assert pipeline.ask(pipeline.prepare(FRAME), text).missing
     world = from_frame(pipeline, made, FRAME)
@@ -50,7 +50,7 @@ def test_what_the_frame_does_not_see_is_answered(pipeline: Pipeline, made: Scene
     assert not target.mask.any()
 
 
-def test_an_imagined_viewpoint_faces_what_it_is_told_to(pipeline: Pipeline, made: SceneMap) -> None:
+def test_an_imagined_viewpoint_faces_what_it_is_told_to(pipeline: Pipeline, made: ObjectMap) -> None:
     world = imagined(pipeline, made, "bookshelf", "armchair")
     faced = next(o for o in made.objects if o.label == "armchair")
     own = world.viewer.matrix @ (np.linalg.inv(world.pose) @ [*faced.center, 1])[:3]
@@ -72,12 +72,12 @@ def test_an_imagined_viewpoint_faces_what_it_is_told_to(pipeline: Pipeline, made
     ],
 )
 def test_a_viewpoint_that_cannot_be_is_refused(
-    pipeline: Pipeline, made: SceneMap, at: str, facing: str, words: str
+    pipeline: Pipeline, made: ObjectMap, at: str, facing: str, words: str
 ) -> None:
     with pytest.raises(InputError, match=words):
         imagined(pipeline, made, at, facing)
 
 
-def test_a_frame_that_is_not_of_the_map_is_refused(pipeline: Pipeline, made: SceneMap) -> None:
+def test_a_frame_that_is_not_of_the_map_is_refused(pipeline: Pipeline, made: ObjectMap) -> None:
     with pytest.raises(InputError, match="no place in the map"):
         from_frame(pipeline, made, "000002/000000")

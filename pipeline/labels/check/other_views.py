@@ -28,7 +28,7 @@ MOST_NAMED = 20
 
 
 @dataclass(frozen=True)
-class Sighting:
+class SurestState:
     """A state of a relation in the surest frame, and in how many there are of it."""
 
     views: int
@@ -45,7 +45,7 @@ class OtherViews:
 
     names: dict[tuple[str, int], dict[str, list[tuple[str | None, int]]]] = field(default_factory=dict)
     counts: defaultdict[tuple[str, int, str], int] = field(default_factory=lambda: defaultdict(int))
-    states: dict[tuple[str, int, int, str], dict[int, Sighting]] = field(default_factory=dict)
+    states: dict[tuple[str, int, int, str], dict[int, SurestState]] = field(default_factory=dict)
     """By scene, instances and relation: the surest sighting of T and of F."""
 
     def add(self, view: FrameView) -> None:
@@ -81,7 +81,7 @@ class OtherViews:
             return
         views = 1 if before is None else before.views + 1
         numbers = int(view.ids[i]), int(view.ids[j])
-        found[state] = Sighting(views, margin, view.id, *numbers, view.relation_text(i, relation, j))
+        found[state] = SurestState(views, margin, view.id, *numbers, view.relation_text(i, relation, j))
 
     def findings(self) -> Iterator[Finding]:
         """Find class names and relations that other views contradict."""
@@ -114,7 +114,7 @@ class OtherViews:
                 )
 
 
-def _contradiction(relation: str, holds: Sighting, holds_not: Sighting) -> Iterator[Finding]:
+def _contradiction(relation: str, holds: SurestState, holds_not: SurestState) -> Iterator[Finding]:
     """Find the state that fewer views have, or both where as many have either; each names the other's frame."""
     for own, other in ((holds, holds_not), (holds_not, holds)):
         if own.views > other.views:
