@@ -246,7 +246,7 @@ def train_pairs(
     mean, std = pairs.moments()
     batch = config.batch_of(len(pairs))
 
-    with _deterministic(torch):
+    with deterministic(torch):
         generator = torch.Generator().manual_seed(config.seed)
         sizes = (contract.dimension, config.hidden, config.hidden, len(vocabulary))
         weights = [
@@ -378,7 +378,7 @@ def require_training() -> None:
 
 
 @contextmanager
-def _deterministic(torch: Any) -> Iterator[None]:
+def deterministic(torch: Any) -> Iterator[None]:
     threads, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
