@@ -81,10 +81,10 @@ class CompletedBox:
     def record(self) -> dict[str, object]:
         """Completed box for JSON: centre and size in metres, sides by name."""
         return {
-            "center": self.box.center.tolist(),
-            "size": self.box.size.tolist(),
+            "center": np.round(self.box.center, 4).tolist(),
+            "size": np.round(self.box.size, 4).tolist(),
             "completed": list(self.completed),
-            "interval_m": {side: list(ends) for side, ends in self.interval.items()},
+            "interval_m": {side: np.round(ends, 4).tolist() for side, ends in self.interval.items()},
         }
 
 

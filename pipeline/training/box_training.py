@@ -37,7 +37,7 @@ from pipeline.system.onnx_session import file_hash
 from pipeline.system.whole_files import file_with_companions
 from pipeline.system.worker_pool import one_thread, results_of
 from pipeline.training.card import Progress, network_path, rounded, versions, write_onnx
-from pipeline.training.train import _forward, deterministic, need_torch, require_training
+from pipeline.training.train import forward, deterministic, need_torch, require_training
 from pipeline.training.training_data import MIN_POINTS, SCALES, Job, Maker, room_seeds, sensed_things, views_of
 
 WRONG_NAMES, NO_NAMES, OTHER_SIZES = 0.1, 0.1, 0.25
@@ -62,7 +62,7 @@ class BoxTraining:
     width: int = 480
     height: int = 360
     hidden: int = 128
-    epochs: int = 15
+    epochs: int = 10
     batch: int = 512
     learning_rate: float = 2e-3
     seed: int = 0
@@ -231,7 +231,7 @@ def train_boxes(
                 factor = torch.empty(len(rows)).uniform_(*spans, generator=generator) * (chance < OTHER_SIZES)
                 given[:, lengths] += factor[:, None] / widths
                 given = given + NOISE * torch.randn(given.shape, generator=generator)
-                raw = _forward(torch, given, weights, biases).reshape(-1, 3, 6)
+                raw = forward(torch, given, weights, biases).reshape(-1, 3, 6)
                 estimate = torch.nn.functional.softplus(raw[:, 0] * SHARPNESS) / SHARPNESS * free[rows]
                 loss = 1 - _overlap(torch, size[rows], unit[rows], estimate, y[rows]).mean()
                 loss = loss + FIT_WEIGHT * torch.nn.functional.smooth_l1_loss(estimate, y[rows])
@@ -326,6 +326,13 @@ def train_box_network(
 
 
 def _train_box_network(out: Path, config: BoxTraining, workers: int, tell: Progress) -> dict[str, Any]:
+    require(
+        min(config.views, config.hidden, config.epochs, config.batch, workers) >= 1
+        and min(config.width, config.height) >= 16
+        and config.learning_rate > 0,
+        "views, width, batch, epochs, learning rate and workers must be positive, a side at least 16 pixels",
+        got=config,
+    )
     require_training()
     train, _, test = room_seeds(config.seed, config.rooms)
     scattered = range(train[0], train[0] + SCATTERED_A_ROOM * len(train))
