@@ -59,7 +59,9 @@ def run_train(command: TrainCommand) -> None:
             card = train_on_labels(
                 job,
                 command.out,
-                lambda e: advance("epochs", e.number, command.epochs, f"loss {e.loss:.4f}, held out {figure(e.metric)}"),
+                lambda e: advance(
+                    "epochs", e.number, command.epochs, f"loss {e.loss:.4f}, held out {figure(e.metric)}"
+                ),
             )
     command.write(card, print_training if on_rooms else print_label_training, card, command.out)
 

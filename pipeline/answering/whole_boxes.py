@@ -103,21 +103,20 @@ class BoxNetwork:
             cause="was it made by `spatialviz train boxes`?",
             path=path,
         )
-        scale = [parse_json(told.get(f"box.{name}", "null"), path) for name in ("mean", "std")]
-        numbers = np.array([[x if isinstance(x, float) else np.nan for x in row or ()] for row in scale], dtype=object)
         sizes = [list(v.shape)[1:] for v in (*self._session.get_inputs(), *self._session.get_outputs())]
+        try:
+            scale = np.array([parse_json(told[f"box.{name}"], path) for name in ("mean", "std")], np.float64)
+        except (KeyError, ValueError, TypeError):
+            scale = np.zeros((2, 0))
         require(
-            numbers.shape == (2, len(COLUMNS)) and sizes == [[len(COLUMNS)], [18]],
+            scale.shape == (2, len(COLUMNS))
+            and sizes == [[len(COLUMNS)], [18]]
+            and bool(np.isfinite(scale).all() and (scale[1] > 0).all()),
             "the graph that completes boxes does not fit its metadata",
             got=lambda: signature(self._session),
             path=path,
         )
-        self.mean, self.std = numbers.astype(np.float64)
-        require(
-            bool(np.isfinite([self.mean, self.std]).all() and (self.std > 0).all()),
-            "the scale of the network that completes boxes is no numbers",
-            path=path,
-        )
+        self.mean, self.std = scale
 
     def offsets(self, rows: np.ndarray) -> np.ndarray:
         """(N, 3, 6) float64 of (N, F) inputs: estimate, 10 % and 90 % of each of SIDES, outwards, in its units."""

@@ -37,7 +37,7 @@ from pipeline.system.onnx_session import file_hash
 from pipeline.system.whole_files import file_with_companions
 from pipeline.system.worker_pool import one_thread, results_of
 from pipeline.training.card import Progress, network_path, rounded, versions, write_onnx
-from pipeline.training.train import forward, deterministic, need_torch, require_training
+from pipeline.training.train import deterministic, forward, need_torch, require_training
 from pipeline.training.training_data import MIN_POINTS, SCALES, Job, Maker, room_seeds, sensed_things, views_of
 
 WRONG_NAMES, NO_NAMES, OTHER_SIZES = 0.1, 0.1, 0.25
