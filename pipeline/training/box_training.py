@@ -42,8 +42,9 @@ from pipeline.training.training_data import MIN_POINTS, SCALES, Job, Maker, room
 
 WRONG_NAMES, NO_NAMES, OTHER_SIZES = 0.1, 0.1, 0.25
 """Shares of things that go by another's name, by none, and that are scaled by SCALES, which leaves them no name."""
-NOISE = 0.5
-"""Deviation of what is added to each standardised input: rooms of other makers are not like these."""
+NOISE, GUISES = 0.3, 3
+"""Deviation of what is added to each standardised input, and how often an epoch shows each thing so: rooms of other
+makers are not like these."""
 FARTHEST = 6.0
 """Offsets beyond count as this, in a side's units."""
 COVERAGE = 0.8
@@ -220,12 +221,13 @@ def train_boxes(
         weights[-1].data *= 0.1
         biases = [torch.zeros(o, requires_grad=True) for o in sizes[1:]]
         optimiser = torch.optim.AdamW([*weights, *biases], lr=config.learning_rate, weight_decay=1e-5)
-        steps = config.epochs * -(-len(x) // config.batch)
+        steps = config.epochs * GUISES * -(-len(x) // config.batch)
         schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, config.learning_rate, total_steps=steps)
         total = 0.0
         for epoch in range(1, config.epochs + 1):
             total = 0.0
-            for rows in torch.randperm(len(x), generator=generator).split(config.batch):
+            orders = [torch.randperm(len(x), generator=generator) for _ in range(GUISES)]
+            for rows in (part for order in orders for part in order.split(config.batch)):
                 given, chance = x[rows], torch.rand(len(rows), generator=generator)
                 given[:, named] = torch.where((chance < NO_NAMES + OTHER_SIZES)[:, None], unnamed, given[:, named])
                 factor = torch.empty(len(rows)).uniform_(*spans, generator=generator) * (chance < OTHER_SIZES)
@@ -242,7 +244,7 @@ def train_boxes(
                 loss.backward()
                 optimiser.step()
                 schedule.step()
-                total += float(loss.detach()) * len(rows) / len(x)
+                total += float(loss.detach()) * len(rows) / (GUISES * len(x))
             if progress is not None:
                 progress(epoch)
         layers = tuple(
@@ -334,12 +336,13 @@ def _train_box_network(out: Path, config: BoxTraining, workers: int, tell: Progr
         got=config,
     )
     require_training()
-    train, _, test = room_seeds(config.seed, config.rooms)
+    train, calibration, test = room_seeds(config.seed, config.rooms)
     scattered = range(train[0], train[0] + SCATTERED_A_ROOM * len(train))
     held = scattered[::CALIBRATION_SHARE]
     made: list[tuple[Maker, Sequence[int]]] = [
         ("varied", train),
         ("scattered", [seed for seed in scattered if seed not in held]),
+        ("varied", calibration),
         ("scattered", held),
     ]
     total, done, parts = sum(len(seeds) for _, seeds in made), 0, []
@@ -350,7 +353,7 @@ def _train_box_network(out: Path, config: BoxTraining, workers: int, tell: Progr
             done += 1
             tell("rooms", done, total)
         parts.append(joined(found))
-    *learnt, held_back = parts
+    learnt, held_back = parts[:2], joined(parts[2:])
     model = train_boxes(joined(learnt), config, lambda epoch: tell("epochs", epoch, config.epochs))
     with file_with_companions(out) as path:
 
@@ -373,7 +376,7 @@ def _train_box_network(out: Path, config: BoxTraining, workers: int, tell: Progr
             "rooms": {
                 "varied": [train[0], train[-1]],
                 "scattered": [scattered[0], scattered[-1]],
-                "calibration": f"every {CALIBRATION_SHARE}th scattered one",
+                "calibration": [calibration[0], calibration[-1], f"and every {CALIBRATION_SHARE}th scattered one"],
                 "test": [test[0], test[-1]],
             },
             "held_out": figures,
