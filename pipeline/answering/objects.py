@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from pipeline.answering.whole_boxes import CompletedBox, complete
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.up import resolved_camera, scene_doubt
 from pipeline.geometry.boxes import Box3D, iou_2d
@@ -24,6 +24,9 @@ from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, lists_things
 from pipeline.relations.features import Appearance
 from pipeline.system.frozen import dataclass
+
+if TYPE_CHECKING:
+    from pipeline.answering.whole_boxes import CompletedBox
 
 _UNPAINTED = np.zeros((0, 0), np.bool_)
 SAME_BOX_IOU = 0.7
@@ -144,6 +147,9 @@ class PreparedFrame:
                 self._lifted[keys[i]] = known[place]
         wholes: Sequence[CompletedBox | None] = [None] * len(places)
         if self.boxes and self.config.boxes == "completed":
+            # Only who asks for whole boxes imports what makes them.
+            from pipeline.answering.whole_boxes import complete
+
             items = [known[place][0] for place in places]
             wholes = complete(items, labels, self.frame.depth, self.frame.camera)
         found = []
