@@ -81,7 +81,10 @@ def print_boxes(card: dict[str, Any], out: Path) -> None:
     """Print figures of completed boxes on held-out rooms, beside those of the seen ones."""
     say(f"{card['name']}: {card['training']['things']} things, {card['training']['epochs']} epochs")
     names = ("things", "seen", "by_name", "completed", "oracle", "gap_closed", "coverage")
-    rows = ((rooms, *(figure(found[name]) for name in names)) for rooms, found in card["held_out"].items())
+    rows = (
+        (rooms, str(found["things"]), *(figure(found[name]) for name in names[1:]))
+        for rooms, found in card["held_out"].items()
+    )
     print_rows(("mean IoU in 3D", *(f">{name.replace('_', ' ')}" for name in names)), rows)
     say(f"-> {out}, card {out.with_suffix('.json')}")
 
