@@ -74,10 +74,12 @@ class Training(Output):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainCommand(Training):
-    """Train a relation network on labels or on rendered rooms, calibrate it, and measure it on unseen data."""
+    """Train a relation network on labels or on rendered rooms, or a network that completes boxes on rendered rooms,
+    calibrate it, and measure it on unseen data."""
 
     labels: Positional[str]
-    """Labels folder of `spatialviz label`; or the word "rooms", for rooms rendered on the spot."""
+    """Labels folder of `spatialviz label`; or the word "rooms", for rooms rendered on the spot; or "boxes", for the
+    network of --boxes completed, from such rooms."""
     out: Path
     """ONNX file to write; its card goes beside it as JSON, and the class vectors of +lang as .vectors.npz."""
     features: Literal["2d", "2d+lang", "3d", "3d+lang", "canon", "rel14", "rel14+lang", "rel26", "rel32"] | None = None
@@ -95,7 +97,8 @@ class TrainCommand(Training):
     pairs: int | None = None
     """Learn from at most so many pairs, drawn at random. Default: all."""
     rooms: int | None = None
-    """Rooms, 400: 7 in 10 to learn from, 1 to calibrate, 2 to measure; rooms of two more makers are learnt from too."""
+    """Rooms, 400 (of boxes 230): 7 in 10 to learn from, 1 to calibrate, 2 to measure; rooms of two more makers are
+    learnt from too."""
     views: int | None = None
     """Views of each room, 4."""
     width: int | None = None

@@ -47,6 +47,13 @@ Box = Annotated[
         "the paper's."
     ),
 ]
+Boxes = Annotated[
+    Literal["seen", "completed"],
+    arg(
+        help="By which boxes sizes are compared (the tallest): of what is seen, or completed by a small network to the "
+        "whole object. Relations stay by what is seen."
+    ),
+]
 Batch = Annotated[
     int | None,
     arg(
@@ -362,6 +369,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
     vectors: Path | None = None
     """The text vectors that the relation network was trained with, for class names it was not trained on."""
     box: Box = "upright"
+    boxes: Boxes = "seen"
     k: int = 10
     """Proposals that go on for each name."""
     score_calibration: Path | None = None
@@ -380,7 +388,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
             if calibration is None:
                 raise InputError("--force-calibration needs --score-calibration", expected="a file to be used")
             calibration = calibration.for_any()
-        config = AskConfig(k=self.k, lift=LiftConfig(box=self.box), score_calibration=calibration)
+        config = AskConfig(k=self.k, lift=LiftConfig(box=self.box, boxes=self.boxes), score_calibration=calibration)
         reading = {f.name: value for f in fields(ReaderOptions) if (value := getattr(self, f.name)) != f.default}
         return {**super().arguments(frame), **reading, "srm": self.srm, "vectors": self.vectors, "config": config}
 

@@ -15,6 +15,7 @@ from pipeline.paper.ablation import AblationConfig, compare_features
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.relations.model import install_network
 from pipeline.system.errors import require
+from pipeline.training.box_training import BoxTraining, train_box_network
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import TrainConfig
@@ -22,7 +23,7 @@ from spatialviz.cli_models import AblationCommand, InstallCommand, RetrainComman
 from spatialviz.options import warn
 from spatialviz.printing import figure, print_rows, print_table, progress_bars, say, say_lines, table_record
 
-ROOMS = "rooms"
+ROOMS, BOXES = "rooms", "boxes"
 OF_ROOMS, OF_LABELS = ("rooms", "views", "width", "height", "members"), ("vectors", "split", "pairs", "normalised")
 """Options of training on the one alone."""
 MEMBERS = 3
@@ -32,6 +33,8 @@ SHOWN_CELLS = 5
 
 
 def run_train(command: TrainCommand) -> None:
+    if command.labels == BOXES:
+        return run_train_boxes(command)
     on_rooms = command.labels == ROOMS
     # Options that say nothing about what is trained on are a mistake, not to be passed over.
     for name in OF_LABELS if on_rooms else OF_ROOMS:
@@ -61,6 +64,29 @@ def run_train(command: TrainCommand) -> None:
                 ),
             )
     command.write(card, print_training if on_rooms else print_label_training, card, command.out)
+
+
+def run_train_boxes(command: TrainCommand) -> None:
+    """Train the network that completes boxes."""
+    for name in (*OF_LABELS, "members", "features", "batch"):
+        require(getattr(command, name) in (None, False), f"--{name} does not belong to training on the word boxes")
+    given = {name: getattr(command, name) for name in OF_ROOMS if getattr(command, name) is not None}
+    with progress_bars() as advance:
+        config = BoxTraining(**given, epochs=command.epochs, seed=command.seed)
+        card = train_box_network(command.out, config, workers=command.workers, progress=advance)
+    command.write(card, print_boxes, card, command.out)
+
+
+def print_boxes(card: dict[str, Any], out: Path) -> None:
+    """Print figures of completed boxes on held-out rooms, beside those of the seen ones."""
+    say(f"{card['name']}: {card['training']['things']} things, {card['training']['epochs']} epochs")
+    names = ("things", "seen", "by_name", "completed", "oracle", "gap_closed", "coverage")
+    rows = (
+        (rooms, str(found["things"]), *(figure(found[name]) for name in names[1:]))
+        for rooms, found in card["held_out"].items()
+    )
+    print_rows(("mean IoU in 3D", *(f">{name.replace('_', ' ')}" for name in names)), rows)
+    say(f"-> {out}, card {out.with_suffix('.json')}")
 
 
 def run_retrain(command: RetrainCommand) -> None:

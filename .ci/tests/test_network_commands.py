@@ -139,3 +139,16 @@ def test_the_commands_review_and_retrain(
     assert np.isfinite(OnnxScorer(tmp_path / "again" / "network.onnx").contract.mean).all()
     assert main(["review", str(tmp_path)]) == 2
     assert main(["review", before, "--limit", "-1"]) == 2
+
+
+@pytest.mark.parametrize(("arguments", "said"), [(["--members", "2"], "--members"), (["--split", "blocks"], "--split")])
+def test_training_on_boxes_refuses_options_of_other_networks(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", "boxes", "--out", str(tmp_path / "m.onnx"), *arguments]) == 2
+    assert f"{said} does not belong to training on the word boxes" in capsys.readouterr().err
+
+
+def test_asked_sizes_are_of_completed_boxes_where_they_are_wanted(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ask", "demo", "0", "tallest thing", "--boxes", "completed", "--json"]) in (0, 1)
+    assert json.loads(capsys.readouterr().out)["answer"]["target"]["whole"]["completed"]

@@ -72,7 +72,7 @@ class SceneEvidence:
         found = None
         if np.isnan(given).any() or not len(some):
             found = attribute_probabilities(
-                attribute, self.frame.rgb, [o.mask for o in some], [o.box for o in some], alike, viewer=self.viewer
+                attribute, self.frame.rgb, [o.mask for o in some], [o.size_box for o in some], alike, viewer=self.viewer
             )
         return found if np.isnan(given).all() else np.where(np.isnan(given), HOLDS if found is None else found, given)
 
@@ -99,7 +99,7 @@ class SceneEvidence:
 
     @cached_property
     def _sizes(self) -> dict[str, np.ndarray]:
-        return size_keys([o.box for o in self.objects], self.viewer)
+        return size_keys([o.size_box for o in self.objects], self.viewer)
 
     def order(self, order: str, index: np.ndarray, belief: np.ndarray) -> np.ndarray:
         """(K,) float64: sort keys of some objects in an order, smallest first, NaN for none."""

@@ -39,7 +39,8 @@ def _probability(value: float) -> float:
 
 
 def object_record(entry: SceneObject) -> Record:
-    """label, score, bbox; center, size, R in the camera frame (null without depth); quality."""
+    """label, score, bbox; center, size, R in the camera frame (null without depth); quality; "whole", the completed
+    box, where those were asked for."""
     box = entry.lifted.box
     quality = entry.lifted.quality
     return {
@@ -62,7 +63,7 @@ def object_record(entry: SceneObject) -> Record:
             "mask_source": quality.mask_source,
             "concerns": list(quality.concerns),
         },
-    } | present(box_from=entry.box_from or None)
+    } | present(box_from=entry.box_from or None, whole=None if entry.whole is None else entry.whole.record())
 
 
 def present(**values: Any) -> Record:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -23,6 +24,9 @@ from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, lists_things
 from pipeline.relations.features import Appearance
 from pipeline.system.frozen import dataclass
+
+if TYPE_CHECKING:
+    from pipeline.answering.whole_boxes import CompletedBox
 
 _UNPAINTED = np.zeros((0, 0), np.bool_)
 SAME_BOX_IOU = 0.7
@@ -44,6 +48,7 @@ class SceneObject:
     # P(attribute | object) where an imported file gives it, by attribute
     given_attributes: Mapping[str, float] = field(default_factory=dict)
     box_from: str = ""  # Of imported predictions: "given", or "worked out" where the file gives no 3D box of it
+    whole: CompletedBox | None = None  # Where the configuration asks for completed boxes
 
     def __repr__(self) -> str:
         return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"
@@ -57,6 +62,12 @@ class SceneObject:
     def box(self) -> Box3D | None:
         """3D box in the camera frame, metres; None without depth."""
         return self.lifted.box
+
+    @property
+    def size_box(self) -> Box3D | None:
+        """Box by which sizes are compared: the whole object's where it is estimated, else the seen one."""
+        # What was moved or drawn since has a box of its own.
+        return self.whole.box if self.whole is not None and self.whole.seen is self.box else self.box
 
     def name(self, index: int, exact: bool) -> str:
         """Name in tables: by the dataset's own number for exact objects, else by place in the list."""
@@ -134,10 +145,19 @@ class PreparedFrame:
             known[place] = self._with_fixed_box(item, keys[i][1]) if detector.exact else item, mask
             if keys[i][1] >= 0:
                 self._lifted[keys[i]] = known[place]
+        wholes: Sequence[CompletedBox | None] = [None] * len(places)
+        if self.boxes and self.config.boxes == "completed":
+            # Only who asks for whole boxes imports what makes them.
+            from pipeline.answering.whole_boxes import complete
+
+            items = [known[place][0] for place in places]
+            wholes = complete(items, labels, self.frame.depth, self.frame.camera)
         found = []
         for i, place in enumerate(places):
             own, mask = known[place]
-            entry = SceneObject(keys[i][1], labels[i], float(proposals.scores[i]), proposals.boxes[i], _UNPAINTED, own)
+            entry = SceneObject(
+                keys[i][1], labels[i], float(proposals.scores[i]), proposals.boxes[i], _UNPAINTED, own, whole=wholes[i]
+            )
             entry = LazyMask.held_by(entry, mask)
             # Imported boxes take the place of those that are made here.
             finished = getattr(detector, "finished", None)

@@ -18,6 +18,11 @@ upright, yaw by PCA in plan, 1st to 99th percentile: that of all labels before 0
 canonicalised in the level camera frame. pca-raw: the same with the axes as PCA gives them."""
 
 
+BoxExtent = Literal["seen", "completed"]
+"""Boxes by which sizes are compared: of what is seen, or of the whole object, estimated. Relations are by what is
+seen."""
+
+
 class Pixel(IntEnum):
     """Outcome of a pixel of the mask, in the order of decision."""
 
@@ -57,6 +62,7 @@ class LiftConfig:
     box: BoxMode = "upright"
     smooth: int = 3  # Radius of the planes that smooth the points of upright boxes, pixels at an image width of 640
     fit_pixels: int = 1000  # Those points are thinned evenly to about this number
+    boxes: BoxExtent = "seen"
 
 
 @dataclass(frozen=True)

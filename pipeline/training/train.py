@@ -246,7 +246,7 @@ def train_pairs(
     mean, std = pairs.moments()
     batch = config.batch_of(len(pairs))
 
-    with _deterministic(torch):
+    with deterministic(torch):
         generator = torch.Generator().manual_seed(config.seed)
         sizes = (contract.dimension, config.hidden, config.hidden, len(vocabulary))
         weights = [
@@ -264,7 +264,7 @@ def train_pairs(
             total = 0.0
             for start in range(0, len(pairs), batch):
                 rows = order[start : start + batch]
-                loss = loss_of(_forward(torch, given(rows), weights, biases), rows)
+                loss = loss_of(forward(torch, given(rows), weights, biases), rows)
                 optimiser.zero_grad()
                 loss.backward()
                 optimiser.step()
@@ -348,7 +348,7 @@ def _measure(
     def measure(weights: Any, biases: Any) -> float:
         with torch.no_grad():
             parts = torch.arange(len(pairs)).split(1 << 14)
-            logits = torch.cat([_forward(torch, given(rows), weights, biases) for rows in parts]).numpy()
+            logits = torch.cat([forward(torch, given(rows), weights, biases) for rows in parts]).numpy()
         if output == "softmax":
             return float((logits.argmax(axis=1) == holds.argmax(axis=1)).mean())
         positive = (logits > 0) & known
@@ -358,7 +358,7 @@ def _measure(
     return measure
 
 
-def _forward(torch: Any, x: Any, weights: Sequence[Any], biases: Sequence[Any]) -> Any:
+def forward(torch: Any, x: Any, weights: Sequence[Any], biases: Sequence[Any]) -> Any:
     for k, (w, b) in enumerate(zip(weights, biases, strict=True)):
         x = torch.addmm(b, x, w)
         if k + 1 < len(weights):
@@ -378,7 +378,7 @@ def require_training() -> None:
 
 
 @contextmanager
-def _deterministic(torch: Any) -> Iterator[None]:
+def deterministic(torch: Any) -> Iterator[None]:
     threads, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)

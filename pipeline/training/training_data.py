@@ -245,18 +245,25 @@ def make_split(
 
 
 def _room_samples(job: Job) -> tuple[FrameSamples, ...]:
+    return tuple(view_samples(room, camera, rng, rough=rough) for room, camera, rng, rough in views_of(job))
+
+
+def views_of(job: Job) -> Iterator[tuple[Room, Camera, np.random.Generator, bool]]:
+    """Views of a room, each with the generator of its errors, and whether those are rough."""
     seed, views, width, height, maker = job
     rng = np.random.default_rng([seed, 17])
     if maker == "scattered":
         room = make_scattered(seed)
-        return tuple(view_samples(room, c, rng, rough=True) for c in roaming_cameras(room, views, rng, width, height))
-    room = make_room(seed)
-    usual = 1 if maker == "varied" else views
-    cameras = choose_views(room, usual, np.random.default_rng([seed, 11]), width, height)
-    if maker == "varied":
-        cameras = [varied_camera(camera, rng) for camera in cameras]
-        cameras += roaming_cameras(room, views - usual, rng, width, height)
-    return tuple(view_samples(room, camera, rng, rough=maker == "varied") for camera in cameras)
+        cameras = roaming_cameras(room, views, rng, width, height)
+    else:
+        room = make_room(seed)
+        usual = 1 if maker == "varied" else views
+        cameras = choose_views(room, usual, np.random.default_rng([seed, 11]), width, height)
+        if maker == "varied":
+            cameras = [varied_camera(camera, rng) for camera in cameras]
+            cameras += roaming_cameras(room, views - usual, rng, width, height)
+    for camera in cameras:
+        yield room, camera, rng, maker != "furnished"
 
 
 def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
@@ -279,21 +286,29 @@ def view_samples(room: Room, camera: Camera, rng: np.random.Generator, *, rough:
     `rough` is for learning: other sensors and worse segmenters now and then.
     """
     assert camera.up is not None
-    depth, instances = sense_view(room, camera, rng)
-    if rough and rng.random() < STEREO_SHARE:
-        depth = _in_steps(depth, rng)
+    depth, things, masks = sensed_things(room, camera, rng, rough)
     viewer = viewer_axes(camera.up)
-    numbers = np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS)
-    spoilt = _roughened if rough else degraded
-    masks = [spoilt(instances == number, rng) for number in numbers]
     lifted = lift(depth, camera, masks, viewer, boxes=False)
     kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
-    shown = [room.instances[numbers[k]] for k in kept]
+    shown = [things[k] for k in kept]
     boxes = np.array([mask_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
     seen = Appearance(boxes, tuple(instance.model.label for instance in shown), camera.width, camera.height)
     rows = {name: contract.describe([lifted[k] for k in kept], viewer, seen) for name, contract in FEATURES.items()}
     whole = np.array([_exact_extents(instance, camera, viewer) for instance in shown]).reshape(-1, 2, 3)
     return FrameSamples(room.seed, rows, rows["rel14"][:, :3], rows["rel14"][:, 3:], whole[:, 0], whole[:, 1])
+
+
+def sensed_things(
+    room: Room, camera: Camera, rng: np.random.Generator, rough: bool
+) -> tuple[np.ndarray, list[Instance], list[np.ndarray]]:
+    """Noisy depth, (H, W) float32 metres, the things seen, and the mask of each, (H, W) bool, a little wrong."""
+    depth, instances = sense_view(room, camera, rng)
+    if rough and rng.random() < STEREO_SHARE:
+        depth = _in_steps(depth, rng)
+    numbers = np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS)
+    spoilt = _roughened if rough else degraded
+    masks = [spoilt(instances == number, rng) for number in numbers]
+    return depth, [room.instances[number] for number in numbers], masks
 
 
 def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -23,6 +23,7 @@ from benchmarks.house_worlds import SensedView, sensed_view
 from other_makers import REGIMES
 
 from pipeline.answering.objects import prepare_frame
+from pipeline.answering.whole_boxes import complete
 from pipeline.datasets import open_dataset
 from pipeline.geometry import Box3D, Camera, LiftConfig, fitting, iou_3d, lift, viewer_axes
 from pipeline.geometry.fitting import canonicalised
@@ -123,6 +124,17 @@ def fitted(view: View, mode: str) -> list[tuple[Box3D | None, float]]:
     return [(o.box, o.yaw_confidence) if len(o.points) >= FEWEST_POINTS else (None, 0.0) for o in lifted]
 
 
+def completed(view: View) -> list[tuple[Box3D | None, float]]:
+    """By this tool, completed by the network of `--boxes completed`."""
+    thin = [is_thin(name) for name in view.names]
+    lifted = lift(view.depth, view.camera, view.masks, view.viewer, thin=thin)
+    wholes = complete(lifted, view.names, view.depth, view.camera)
+    return [
+        (None if whole is None or len(o.points) < FEWEST_POINTS else whole.box, o.yaw_confidence)
+        for o, whole in zip(lifted, wholes, strict=True)
+    ]
+
+
 @contextmanager
 def yaw_by(criterion: Callable[[np.ndarray], float]) -> Iterator[None]:
     """Upright boxes whose yaw another criterion chooses, (2, N) points along candidate axes -> one value, in steps of 1
@@ -193,6 +205,7 @@ def open3d_boxes(minimal: bool) -> Fit:
 def fits() -> dict[str, Fit]:
     found: dict[str, Fit] = {
         "upright": lambda view: fitted(view, "upright"),
+        "upright, completed": completed,
         "gravity": lambda view: fitted(view, "gravity"),
         "pca": lambda view: fitted(view, "pca"),
         "upright, yaw by least area": by_criterion(least_area),
