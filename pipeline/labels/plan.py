@@ -383,8 +383,10 @@ class LabelConfig:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Settings as JSON; sentences and map only if wanted, so that other labels keep their hash."""
+        """Settings as JSON; sentences, map and completed boxes only if wanted: other labels keep their hash."""
         found = {**asdict(self), "background": list(self.background), "sentences": list(self.sentences)}
+        if self.lift.boxes == "seen":
+            del found["lift"]["boxes"]
         wanted = {"sentences": self.sentences, "sentences_a_kind": self.sentences, "map": self.map}
         return {name: value for name, value in found.items() if wanted.get(name, True)}
 
