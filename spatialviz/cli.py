@@ -91,11 +91,13 @@ FORMS: dict[str, tuple[str, str]] = {
     "install": ("cli_models", "run_training"),
     "judge-again": ("cli_runs", "run_predictions"),
     "context": ("cli_ask", "run_frames"),
+    "world": ("cli_ask", "run_world"),
 }
 """Commands of earlier names, each now an option of another."""
 OPTIONS = {
     ("ask", "--glossary"): "glossary",
     ("ask", "--confirm"): "confirm",
+    ("ask", "--world"): "world",
     ("relations", "--measure"): "measure",
     ("label", "--merge"): "merge",
     ("undo", "--redo"): "redo",

@@ -67,8 +67,8 @@ class ViewCommand:
 
 @dataclass(frozen=True)
 class AskCommand(Output):
-    """Answer expressions such as "mug left of the laptop" on a frame; --confirm: confirm a pair of the answer as right;
-    --glossary: explain a word.
+    """Answer expressions such as "mug left of the laptop" on a frame; --world: by all posed frames of its scene;
+    --confirm: confirm a pair of the answer as right; --glossary: explain a word.
 
     Exit status: 0 where a pair stands in the relation that was asked, 1 where there is none: a name was not found, or
     the best pair has a probability below .5 and is told as the nearest; 2 for bad usage or input. Of several
@@ -88,15 +88,28 @@ class AskCommand(Output):
     that would mend it."""
     try_mend: Annotated[Flag, arg(name="try")] = False
     """Try what would make a wrong answer right; with --run also what a setting of its kind does to the whole run."""
-    world: Flag = False
-    """Answer by the objects of all posed frames of the scene: also by what this frame does not show."""
+    labels: Truth = None
+
+
+@dataclass(frozen=True)
+class WorldCommand(Output):
+    """Answer expressions by the objects of all posed frames of the frame's scene: also by what it does not show.
+
+    Exit status as of `ask`.
+    """
+
+    dataset: DatasetArg
+    frame: Positional[str]
+    """The frame whose scene is asked, and from whose camera."""
+    expressions: Positional[tuple[str, ...]]
+    """TARGET RELATION REFERENCE, each in quotes."""
+    source: SourceArg = SourceOptions()
     map: Path | None = None
-    """With --world: folder of object maps that `map` wrote. Default: the scene is mapped for the question."""
+    """Folder of object maps that `map` wrote. Default: the scene is mapped for the question."""
     standing_at: str | None = None
-    """With --world: answer for somebody who stands at this object ("door"), and not for the frame's camera."""
+    """Answer for somebody who stands at this object ("door"), and not for the frame's camera."""
     facing: str | None = None
     """With --standing-at: the object that one faces ("window")."""
-    labels: Truth = None
 
 
 @dataclass(frozen=True)

@@ -49,10 +49,6 @@ def run_ask(command: AskCommand) -> int:
         check_target(command.save, films=True)
     answered = 0
     pipeline, labels, run = _opened(command)
-    if command.world or any(given is not None for given in (command.standing_at, command.facing, command.map)):
-        from spatialviz.run_world import ask_of_world
-
-        return ask_of_world(command, pipeline)
     known = {} if run is None else {"marks": run.spec.marks, "confidence": run.spec.confidence}
     for answer in ask_and_judge(pipeline, command.frame, command.expressions, labels, warn_skipped, **known):
         trace = answer.needed_trace()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.base import resolve_frame, scene_of
 from pipeline.diagnosis.asking import judged
 from pipeline.language.counted import counted
@@ -14,7 +13,7 @@ from pipeline.scenes.object_map import Presence, map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.scenes.world_frame import WorldFrame, ask_world, from_frame, imagined, presence_from
 from pipeline.system.errors import require
-from spatialviz.cli_ask import AskCommand
+from spatialviz.cli_ask import WorldCommand
 from spatialviz.options import ALL_FRAMES, FINE, NO
 from spatialviz.printing import say, say_lines
 from spatialviz.run_ask import print_answer
@@ -28,14 +27,12 @@ FROM_HERE: dict[Presence, str] = {
 }
 
 
-def ask_of_world(command: AskCommand, pipeline: Pipeline) -> int:
-    """Answer the expressions by the objects of the frame's scene; the exit status."""
-    require(
-        command.world, "--map, --standing-at and --facing are of --world", expected="--world --standing-at X --facing Y"
-    )
+def run_world(command: WorldCommand) -> int:
+    require(command.expressions, "an expression is missing", expected='for example "mug left of the laptop"')
     both = (command.standing_at is None) == (command.facing is None)
     require(both, "an imagined viewpoint stands at one object and faces another", expected="--standing-at X --facing Y")
     require(command.frame != ALL_FRAMES, "--world takes one frame: it says which scene, and from where")
+    pipeline = command.source.open(command.dataset, command.frame)
     frame_id = resolve_frame(pipeline.dataset, command.frame)
     scene = scene_of(pipeline.dataset, frame_id)
     if command.map is None:

@@ -22,11 +22,10 @@ def test_a_scene_is_asked_from_its_map_and_from_where_nobody_stood(tmp_path: Pat
     record = spatialviz(0, *asked, "--world", "--map", maps, *turned, "--json").record
     assert record["world"]["viewpoint"] == "at bookshelf facing armchair"
     for wrong, words in (
-        (turned, "are of --world"),
-        (("--world", "--facing", "armchair"), "--standing-at X --facing Y"),
-        (("--world", "--map", tmp_path), "no map of the scene"),
+        (("--facing", "armchair"), "--standing-at X --facing Y"),
+        (("--map", tmp_path), "no map of the scene"),
     ):
-        assert words in spatialviz(2, *asked, *wrong).err
+        assert words in spatialviz(2, *asked, "--world", *wrong).err
     assert "one frame" in spatialviz(2, "ask", "demo", "all", "pillow on the armchair", "--world").err
 
 
