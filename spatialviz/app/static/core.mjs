@@ -100,8 +100,8 @@ calls.selected = now => {
   document.querySelector('#stages tr[data-marked]')?.scrollIntoView({block: 'nearest'});
 };
 
-/* True while somebody may still type into a field that the next item took away: those are no keys of the page. */
-export const typesOn = () => performance.now() < fieldGone + 1000;
+/* True of what somebody may still type into a field of numbers that the next item took away: no keys of the page. */
+export const typesOn = e => performance.now() < fieldGone + 1000 && (e.key.length > 1 || /[\d.,+-]/.test(e.key));
 let fieldGone = -Infinity;
 
 export const patch = parts => {
