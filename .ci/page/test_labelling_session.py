@@ -61,6 +61,30 @@ def test_an_answer_is_to_what_is_shown(review: Tab, reviewed: Server) -> None:
     tab.see(".toast", "taken back")
 
 
+GONE = """core => {
+  const field = document.querySelector("#edit label.field[title^='width'] input");
+  field.focus();
+  field.value = (Number(field.value) + 0.01).toFixed(3);
+  core.patch([['edit', '<div id="edit"></div>']]);
+  for (const key of ['5', 'y']) dispatchEvent(new KeyboardEvent('keydown', {key}));
+}"""
+
+
+def test_a_letter_is_a_key_where_a_field_went(review: Tab, reviewed: Server) -> None:
+    """What may still be typed into a number is no key of the page; an answer that follows it is one."""
+    tab, before = review, len(events(LABELS, "--journal", reviewed.journal))
+    tab.click("queue-kind:relation")
+    tab.press("j")
+    first = tab.still(CLAIM)
+    tab.drawer("Edit")
+    tab.see("#edit label.field[title^='width'] input")
+    tab.page.evaluate(f"import('/app/core.mjs').then({GONE})")
+    tab.poll(f"claim => {CLAIM} !== claim", first)
+    made = events(LABELS, "--journal", reviewed.journal)[before:]
+    assert any(e["field"] != "box" for e in made), made
+    assert not any(e["field"] == "class" for e in made), made
+
+
 def test_undo_brings_the_item_back(review: Tab) -> None:
     """The one that was answered, open as before."""
     tab = review
