@@ -284,6 +284,8 @@ class PropagateCommand(OnPictures):
     something."""
     to: tuple[str, ...] = ()
     """Only to these frames: ids, or indices. Default: all labelled frames of the scene with a pose."""
+    also: tuple[str, ...] = ()
+    """Further frames whose masks are right: what they see of the objects is carried, too."""
     refine: Flag = False
     """Refine the pose of each frame against this frame's surfaces, where they then agree better; no file is changed."""
     accept: Flag = False

@@ -8,11 +8,10 @@ from contextlib import ExitStack
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.events import outcome_record
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
-from pipeline.corrections.propagate import FrameProposals, proposals
-from pipeline.labels.by_hand import grows, seen_with, with_frames
+from pipeline.corrections.propagate import FrameProposals, proposals, with_scene
+from pipeline.labels.by_hand import grows, with_frames
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
-from pipeline.scenes.views import posed_frames
 from pipeline.system.errors import needed, require
 from spatialviz.cli_labels import PropagateCommand
 from spatialviz.options import FINE, NO, one_frame
@@ -27,15 +26,15 @@ def run_propagate(command: PropagateCommand) -> int:
     ids = dataset.frame_ids if grows(labels) else labels.frames.column("frame").to_pylist()
     frame = one_frame(ids, command.frame, labels.root)
     to = [one_frame(ids, other, labels.root) for other in command.to] or None
-    require(to is None or frame not in to, "a frame is not carried to itself", got=frame)
-    if grows(labels):
-        for name in {frame: 0, **dict.fromkeys(to or posed_frames(dataset, frame))}:
-            labels = seen_with(labels, dataset, name)
+    also = [one_frame(ids, other, labels.root) for other in command.also]
+    own = {frame, *also} & set(to or ())
+    require(not own, "a frame is not carried to itself", got=min(own, default=""))
+    labels = with_scene(labels, dataset, frame, None if to is None else [*also, *to])
     with ExitStack() as stack:
         corrected = command.accept or command.journal.journal is not None or (labels.root / JOURNAL_FILE).exists()
         journal = stack.enter_context(command.journal.open(labels)) if corrected else ()
         corrector = Corrector(labels, dataset)
-        found = list(proposals(corrector, journal, frame, set(command.object) or None, to, command.refine))
+        found = list(proposals(corrector, journal, frame, set(command.object) or None, to, command.refine, also))
         if not command.accept or command.author is None or not isinstance(journal, Journal):
             command.write((one.record() for one in found), print_proposals, found)
             return FINE if any(one.proposals for one in found) else NO

@@ -202,10 +202,12 @@ def judge(tab: Tab, frame: str, fails: bool) -> str:
     things = [re.sub(r"[· ][0-9]+$", "", thing) for thing in tab.still(of)]
     # The most frequent name may mean several things, the next one fewer.
     names = [name for name, _ in Counter(things).most_common()]
-    tab.ask(f"{names[0]} left of the {names[1]}")
-    offered = tab.page.locator('[data-do="right-pair"]')
+    text = f"{names[0]} left of the {names[1]}"
+    tab.ask(text)
+    offer = f"[data-do^='right-pair:{frame} '][data-do$=' {text}']"
+    offered = tab.page.locator(offer)
     refused = "document.getElementById('verdict')?.textContent.startsWith('Could not')"
-    tab.poll(f"document.querySelector('[data-do=right-pair]') || {refused}")
+    tab.poll(f'document.querySelector("{offer}") || {refused}')
     if not offered.count():
         return "no pair"
     if fails and not tab.page.locator("tr[id^=pair-]").count():
@@ -269,3 +271,36 @@ def test_an_object_is_followed_through_its_frames(mapped: Server, open_tab: Open
     assert len(set(sides)) == 1, "in one row"
     widths = "[...document.querySelectorAll('#edit .sighting img')].map(e => e.naturalWidth)"
     tab.poll(f"{widths}.every(w => w > 0)")
+
+
+def test_an_object_is_carried_to_other_frames(mapped: Server, open_tab: OpenTab) -> None:
+    """A class is proposed in the other frames; one is accepted, then the rest, and that is taken back as one step."""
+    tab = open_tab(f"{mapped.address}/?frame=000001/000000&mode=label", scene="absent")
+    labels = mapped.folder / "labels"
+    tab.see("[data-mode=label] #review-head input")
+    tab.drawer("Edit")
+    tab.send("object-at:2:000001/000000")
+    tab.see("#edit h2", "laptop 2")
+    tab.send("class:book")
+    tab.see("#edit h2", "book 2")
+    saved = len(events(labels, "--journal", mapped.journal))
+    tab.click("carry")
+    tab.see("#carry .go", "accept 2")
+    assert tab.page.locator("#carry .carried path").count() == 2, "each with its outline"
+    assert len(events(labels, "--journal", mapped.journal)) == saved, "proposed, not saved"
+    tab.page.locator("#carry .carried .try").first.click()
+    tab.see("#carry", "1 accepted")
+    tab.click("carry-all")
+    tab.see("#carry", "2 accepted")
+    made = events(labels, "--journal", mapped.journal)[saved:]
+    assert [e["frame"] for e in made if e["field"] == "label"] == ["000001/000001", "000001/000002"], made
+    assert all(e["reason"].startswith("carried from 000001/000000") for e in made), made
+    tab.press("Control+z")
+    tab.see(".toast", "taken back")
+    undone = events(labels, "--journal", mapped.journal)[saved + len(made) :]
+    assert {e["frame"] for e in undone} == {"000001/000002"}, undone
+    assert {e["action"] for e in undone} == {"undo"}
+    # As the others found them.
+    for left in (1, 0):
+        tab.press("Control+z")
+        tab.poll(f"document.querySelectorAll('#from-label [data-do]').length === {left}")

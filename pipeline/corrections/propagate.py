@@ -7,6 +7,7 @@ in another frame, or as a new object; never over what a person set there.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,10 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame, object_
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import box_of, object_ref
 from pipeline.corrections.journal.journal import Journal
+from pipeline.datasets.base import Dataset
 from pipeline.geometry.masks import MaskCrop
+from pipeline.labels.by_hand import grows, seen_with
+from pipeline.labels.reading import Labels
 from pipeline.scenes.poses import Refinement, agreement, refine
 from pipeline.scenes.propagation import LabelledObject, LabelledView, ProposedMask, propagate
 from pipeline.scenes.views import PosedView, posed_frames
@@ -74,6 +78,7 @@ class FrameProposals:
     unseen: tuple[int, ...]  # Numbers of the source frame
     agree: float | None  # Agreement of the two frames' surfaces under the poses used, 0..1; None: too little shared
     refinement: Refinement | None  # Of the frame's pose, where it was used
+    size: tuple[int, int]  # Height and width of its picture
 
     def record(self) -> dict[str, Any]:
         """JSON of `propagate --json`, a frame a line."""
@@ -86,6 +91,14 @@ class FrameProposals:
             "pose_moved_m": None if moved is None else round(moved.moved_m, 4),
             "pose_turned_deg": None if moved is None else round(moved.turned_deg, 3),
         }
+
+
+def with_scene(labels: Labels, dataset: Dataset, frame: str, to: Sequence[str] | None = None) -> Labels:
+    """Take the frames of a scene, or a frame and those of `to`, into labels begun by hand; others stay as they are."""
+    if grows(labels):
+        for name in dict.fromkeys((frame, *(to or posed_frames(dataset, frame)))):
+            labels = seen_with(labels, dataset, name)
+    return labels
 
 
 def by_person(frame: EffectiveFrame, number: int, field: str) -> bool:
@@ -103,11 +116,13 @@ def proposals(
     numbers: Collection[int] | None = None,
     to: Sequence[str] | None = None,
     refined: bool = False,
+    also: Sequence[str] = (),
 ) -> Iterator[FrameProposals]:
     """Propose what a person set in a frame for the scene's other labelled frames, one frame after the other.
 
     `numbers`: objects that are carried with pixels and class, whoever set them; by default all of which a person set
     something. `refined`: each frame's pose is refined against the source's surfaces, where they then agree better.
+    `also`: further frames whose masks are right; what they see of the objects is carried, too.
     InputError for no such frame or object, nothing to carry, no dataset; FrameUnusable without poses.
     """
     dataset = needed(corrector.dataset, "masks are carried by the pictures' depth: the dataset is needed")
@@ -119,21 +134,26 @@ def proposals(
     wanted = {n: fields for n, fields in wanted.items() if fields}
     require(wanted, f"nobody has set anything in frame {frame} yet", expected="--object N carries one as it is")
     posed = posed_frames(dataset, frame)
-    astray = [i for i in (frame, *(to or ())) if i not in posed]
+    astray = [i for i in (frame, *also, *(to or ())) if i not in posed]
     require(not astray, f"no posed frames of the scene of {frame}", got=astray[:5])
     view = PosedView.of(dataset.load(frame))
     standing = _labelled(source, view, source.objects)
     gone = _labelled(source, view, wanted.keys() & source.left_out.keys())
-    for other in [i for i in posed if i != frame and i in corrector.index.of_frame] if to is None else to:
+    sources = [standing]
+    for name in also:
+        beside, there = PosedView.of(dataset.load(name)), _now(corrector, journal, name)
+        sources.append(_alike(standing, _labelled(there, beside, there.objects)))
+    sourced = {frame, *also}
+    for other in [i for i in posed if i not in sourced and i in corrector.index.of_frame] if to is None else to:
         seen, refinement = PosedView.of(dataset.load(other)), None
         if refined and (found := refine(seen, [view])) is not None and found.better:
             seen, refinement = seen.moved(np.array(found.pose)), found
-        masks = [*propagate([standing], seen), *(propagate([gone], seen) if gone.objects else ())]
+        masks = [*propagate(sources, seen), *(propagate([gone], seen) if gone.objects else ())]
         target = _now(corrector, journal, other)
         made = _of_frame(source, target, view, seen, masks, wanted)
         unseen = wanted.keys() - {m.object_id for m in masks}
         agree = agreement(view, seen).agree
-        yield FrameProposals(other, tuple(made), tuple(sorted(unseen)), agree, refinement)
+        yield FrameProposals(other, tuple(made), tuple(sorted(unseen)), agree, refinement, target.size)
 
 
 def _now(corrector: Corrector, journal: Journal | Sequence[Event], frame: str) -> EffectiveFrame:
@@ -149,6 +169,15 @@ def _fields(source: EffectiveFrame, number: int, named: bool) -> set[str]:
 def _labelled(source: EffectiveFrame, view: PosedView, numbers: Collection[int]) -> LabelledView:
     masks = {n: MaskCrop.of(actions.pixels_of(source, n)) for n in sorted(numbers)}
     return LabelledView(view, tuple(LabelledObject(n, n, crop) for n, crop in masks.items() if crop.area))
+
+
+def _alike(standing: LabelledView, other: LabelledView) -> LabelledView:
+    """Give the objects of another view the numbers of the first one's where they stand; others get new ones."""
+    there = {o.number: o.mask.of_picture(other.view.size) for o in other.objects}
+    same = {n: number for number, (n, _) in _matched(propagate([standing], other.view), there).items()}
+    lowest = 1 + max(o.object_id for o in standing.objects) if standing.objects else 0
+    ids = {o.number: same.get(o.number, lowest + k) for k, o in enumerate(other.objects)}
+    return replace(other, objects=tuple(replace(o, object_id=ids[o.number]) for o in other.objects))
 
 
 def _of_frame(

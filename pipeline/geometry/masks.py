@@ -222,6 +222,16 @@ def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
     return (x, first + y, x + w, first + y + h) if w else (0, 0, 0, 0)
 
 
+def topmost(size: Sequence[int], crops: Sequence[MaskCrop]) -> np.ndarray:
+    """Index of each pixel's mask, (H, W) int32, -1 for none; of masks that overlap the smaller lies on top."""
+    out = np.full((size[0], size[1]), -1, np.int32)
+    for k in sorted(range(len(crops)), key=lambda k: -crops[k].area):
+        crop = crops[k]
+        h, w = crop.mask.shape
+        out[crop.y : crop.y + h, crop.x : crop.x + w][crop.mask] = k
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class PictureMask:
     """A mask of a picture, held by its crop."""

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
 from pipeline.answering.pipeline import Pipeline
 from pipeline.geometry.cleaning import Pixel
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import MaskCrop, topmost
 from pipeline.language.noun_phrase import same_names
 from pipeline.scenes.views import PosedView
 from pipeline.scenes.voxels import BACKGROUND, UNSEEN, Voxels
@@ -194,14 +194,14 @@ def _painted(sharp: np.ndarray, objects: Sequence[Sighting]) -> tuple[np.ndarray
     """
     grid = np.zeros(sharp.shape, np.bool_)
     grid[::STRIDE, ::STRIDE] = True
-    own, compared = np.full(sharp.shape, -1, np.int32), sharp & grid
-    for i in sorted(range(len(objects)), key=lambda i: -objects[i].mask.area):
-        crop = objects[i].mask
+    own, compared = topmost(sharp.shape, [o.mask for o in objects]), sharp & grid
+    for i, entry in enumerate(objects):
+        crop = entry.mask
         h, w = crop.mask.shape
         part = np.s_[crop.y : crop.y + h, crop.x : crop.x + w]
-        kept = sharp[part] & crop.mask if (known := objects[i].kept) is None else known
-        own[part][crop.mask] = i
-        compared[part][crop.mask] = (kept if np.count_nonzero(kept) < SMALL else kept & grid[part])[crop.mask]
+        kept = sharp[part] & crop.mask if entry.kept is None else entry.kept
+        top = own[part] == i
+        compared[part][top] = (kept if np.count_nonzero(kept) < SMALL else kept & grid[part])[top]
     return own, compared
 
 

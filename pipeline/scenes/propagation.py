@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.cleaning import SQUARE
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import MaskCrop, topmost
 from pipeline.scenes.views import PosedView, Visibility
 from pipeline.system.frozen import dataclass
 
@@ -50,12 +50,7 @@ class LabelledView:
     @cached_property
     def owner(self) -> np.ndarray:
         """Place in `objects` of each pixel's, (H, W) int32, `BACKGROUND` for none; of nested masks the smaller one."""
-        out = np.full(self.view.size, BACKGROUND, np.int32)
-        for k in sorted(range(len(self.objects)), key=lambda k: -self.objects[k].mask.area):
-            crop = self.objects[k].mask
-            h, w = crop.mask.shape
-            out[crop.y : crop.y + h, crop.x : crop.x + w][crop.mask] = k
-        return out
+        return topmost(self.view.size, [o.mask for o in self.objects])
 
     @cached_property
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +71,7 @@ class LabelledView:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class SourceSighting:
     """Sighting of an object in a labelled view from which its mask was carried."""
 
     frame_id: str
@@ -95,7 +90,7 @@ class ProposedMask:
     measured: float  # Share of the mask with a depth, 0..1
     kept: float  # Share of the object's labelled pixels that this view sees, and that the mask holds, 0..1
     outline: float  # Share of the mask's rim on an edge of the surface or the colours, 0..1
-    sightings: tuple[Sighting, ...]  # The one with the most pixels first
+    sightings: tuple[SourceSighting, ...]  # The one with the most pixels first
 
     @property
     def confidence(self) -> float:
@@ -170,7 +165,7 @@ def _proposed(
     crop = MaskCrop.of(mask)
     rim = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_GRADIENT, SQUARE) > 0
     sightings = (
-        Sighting(source.view.frame_id, entry.number, int(n))
+        SourceSighting(source.view.frame_id, entry.number, int(n))
         for source, n in zip(sources, pixels, strict=True)
         for entry in source.objects
         if entry.object_id == object_id and n

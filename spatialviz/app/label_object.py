@@ -192,11 +192,11 @@ class LabelObject(LabelPart):
         if number is not None and state.selected is not None:
             color = palette(state.dark)["truth"]
             frames = self._sightings.of(view.frame.frame, number)
-            strip = strip_html(frames, view.frame.frame, self._picture)
+            strip = strip_html(frames, view.frame.frame, self.picture)
             shown = object_html(object_card(view.frame, number), state.shown.names[state.selected], color, named, strip)
         page.show("edit", shown, rejected_html(view.frame.left_out))
 
-    def _picture(self, frame: str) -> str:
+    def picture(self, frame: str) -> str:
         """Address of a frame's picture."""
         sources = self.ctx.shared.store.sources
         number = self.ctx.shared.pictures.timeline(self.state.source).indices[frame]

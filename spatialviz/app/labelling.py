@@ -19,6 +19,7 @@ from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text, outcome_text
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.answer import mend_button
+from spatialviz.app.carry_panel import CarryPanel
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_object import LabelObject, SidePanel
 from spatialviz.app.label_part import LabelPart
@@ -42,8 +43,10 @@ class Labelling(LabelPart):
         super().__init__(ctx)
         self._reopen, self._ask = reopen, ask
         self._kept = ("", "")  # Frame and question whose pair was confirmed
+        shown = LabelObject(ctx)
         self._following = (
-            LabelObject(ctx),
+            shown,
+            CarryPanel(ctx, shown.picture),
             ReviewQueue(ctx),
             RetrainPanel(ctx),
             Pixels(ctx),
@@ -153,16 +156,24 @@ class Labelling(LabelPart):
     # ---- the truth of a question --------------------------------------------------------
 
     @command("right-pair")
-    def confirm(self) -> None:
-        """Confirm the chosen pair, or the first, as right."""
+    def confirm(self, shown: str) -> None:
+        """Confirm the chosen pair, or the first, as right, while it is the `shown` one."""
         state, editor = self.state, self.editor
         pair = state.chosen or next(iter(state.ranked), None)
         if state.labels is None:
+            require(shown == self._answered, "another answer had not been shown yet: nothing was kept")
             outcome = editor.save(right_pair(editor, there(state.trace), there(pair)))
             said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
             self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
             self.ctx.toast("Not saved" if bad else "This pair is correct", said, bad)
             self._ask(state.text)
+
+    @property
+    def _answered(self) -> str:
+        """Frame, pair and question of what `confirm` is about."""
+        state = self.state
+        pair = state.chosen or next(iter(state.ranked), None)
+        return f"{state.frame_id} {None if pair is None else state.at(pair)} {state.text}"
 
     @command("right-undo")
     def take_back(self) -> None:
@@ -189,7 +200,7 @@ class Labelling(LabelPart):
             told = None if known else "No truth is known here yet."
             if not why and pair.reference is not None:
                 hint = "it is kept as true, with its objects, and the answer is judged by it at once"
-                made = button("This pair is correct", "right-pair", hint, cls="" if known else "go")
+                made = button("This pair is correct", f"right-pair:{self._answered}", hint, cls="" if known else "go")
             elif told and why:
                 told += f" None is kept of this answer: {why}. Outline things under Label."
         if not any((wrong, made, told)):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from pipeline.corrections.sightings import LabelledSighting
+from pipeline.geometry.masks import MaskCrop
+from pipeline.pictures.marks import outline_path
 from spatialviz.app.markup import Element, button, h, heading
 
 CROP = 72
@@ -32,22 +34,33 @@ def strip_html(found: Sequence[LabelledSighting], frame: str, picture: Callable[
 
 
 def _crop(seen: LabelledSighting, here: bool, address: str) -> Element:
-    """Crop out of the frame's picture, which is scaled and moved behind a square."""
-    x0, y0, x1, y1 = seen.bbox
-    height, width = seen.size
+    said = f"{seen.label} {seen.number} in {seen.frame}"
+    return h.button(
+        picture_part(seen.bbox, seen.size, address),
+        do=f"object-at:{seen.number}:{seen.frame}",
+        cls="sighting shown" if here else "sighting",
+        title=said,
+        aria_label=said,
+        aria_current="true" if here else None,
+    )
+
+
+def picture_part(
+    bbox: Sequence[float], size: Sequence[int], address: str, mask: MaskCrop | None = None
+) -> tuple[Element, Element | None]:
+    """Square part of a frame's picture around a 2D box, scaled and moved behind a square, and the outline of a mask."""
+    x0, y0, x1, y1 = bbox
+    height, width = size
     side = max(x1 - x0, y1 - y0, 8.0) * MARGIN
-    scale = CROP / side
+    scale, left, top = CROP / side, (x0 + x1 - side) / 2, (y0 + y1 - side) / 2
     css = {
         "width": f"{width * scale:.0f}px",
         "height": f"{height * scale:.0f}px",
-        "left": f"{CROP / 2 - (x0 + x1) / 2 * scale:.0f}px",
-        "top": f"{CROP / 2 - (y0 + y1) / 2 * scale:.0f}px",
+        "left": f"{-left * scale:.0f}px",
+        "top": f"{-top * scale:.0f}px",
     }
-    return h.button(
-        h.img(src=address, alt="", css=css, loading="lazy"),
-        do=f"object-at:{seen.number}:{seen.frame}",
-        cls="sighting shown" if here else "sighting",
-        title=f"{seen.label} {seen.number} in {seen.frame}",
-        aria_label=f"{seen.label} {seen.number} in {seen.frame}",
-        aria_current="true" if here else None,
-    )
+    drawn = None
+    if mask is not None:
+        seen = f"{left - mask.x:.1f} {top - mask.y:.1f} {side:.1f} {side:.1f}"
+        drawn = h.svg(h.path(d=outline_path(mask.mask)), viewBox=seen, aria_hidden="true")
+    return h.img(src=address, alt="", css=css, loading="lazy"), drawn

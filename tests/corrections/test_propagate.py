@@ -136,3 +136,15 @@ def test_what_cannot_be_carried_is_told(
 def test_without_the_dataset_nothing_is_carried(bare_corrector: Corrector, journal: Journal) -> None:
     with pytest.raises(InputError, match="the dataset is needed"):
         list(proposals(bare_corrector, journal, FRAME))
+
+
+def test_further_labelled_frames_show_more_of_an_object(full_corrector: Corrector, journal: Journal) -> None:
+    """The third frame gets a mask of which two frames together show more than one of them."""
+    frame = full_corrector.frame(FRAME, journal)
+    saved(journal, set_class(frame, LAPTOP, "notebook"))
+    (alone,) = proposals(full_corrector, journal, FRAME, None, OTHERS[1:])
+    (both,) = proposals(full_corrector, journal, FRAME, None, OTHERS[1:], also=OTHERS[:1])
+    assert [p.label for p in both.proposals] == ["notebook"]
+    assert both.proposals[0].mask.seen > alone.proposals[0].mask.seen
+    assert {s.frame_id for s in both.proposals[0].mask.sightings} == {FRAME, OTHERS[0]}
+    assert [one.frame for one in proposals(full_corrector, journal, FRAME, None, also=OTHERS[:1])] == [OTHERS[1]]
