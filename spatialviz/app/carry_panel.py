@@ -31,6 +31,7 @@ class Carrying:
     frames: int  # To look at
     found: tuple[FrameProposals, ...] = ()
     accepted: frozenset[tuple[str, int]] = frozenset()  # Frames and numbers
+    ended: bool = False
     problem: str = ""
 
     @property
@@ -71,17 +72,22 @@ class CarryPanel(LabelPart):
                 if self.ctx.closed.is_set() or not self._is_of(begun):
                     return
                 self.ctx.post(lambda one=one: self._add(begun, one))
+            self.ctx.post(lambda: self._end(begun))
         except InputError as error:
-            self.ctx.post(lambda said=str(error): self._add(begun, None, said))
+            self.ctx.post(lambda said=str(error): self._end(begun, said))
 
     def _is_of(self, begun: Carrying) -> bool:
         now, key = self._now, (begun.source, begun.frame, begun.number, begun.refined)
         return now is not None and (now.source, now.frame, now.number, now.refined) == key
 
-    def _add(self, begun: Carrying, one: FrameProposals | None, problem: str = "") -> None:
+    def _add(self, begun: Carrying, one: FrameProposals) -> None:
         if self._now is not None and self._is_of(begun):
-            found = self._now.found if one is None else (*self._now.found, one)
-            self._now = replace(self._now, found=found, problem=problem)
+            self._now = replace(self._now, found=(*self._now.found, one))
+            self.follow()
+
+    def _end(self, begun: Carrying, problem: str = "") -> None:
+        if self._now is not None and self._is_of(begun):
+            self._now = replace(self._now, ended=True, problem=problem)
             self.follow()
 
     @command("carry-all")
@@ -105,7 +111,7 @@ class CarryPanel(LabelPart):
         self.follow()
 
     @command("carry-end")
-    def end(self) -> None:
+    def drop(self) -> None:
         """Drop the proposals."""
         self._now = None
         self.follow()
@@ -131,8 +137,7 @@ class CarryPanel(LabelPart):
 
 def carrying_html(now: Carrying, picture: Callable[[str], str]) -> Element:
     """Proposed masks, drawn in parts of their frames' pictures, and what they rest on."""
-    waiting, ended = now.waiting, len(now.found) == now.frames
-    trusted = len(now.trusted)
+    waiting, ended, trusted = now.waiting, now.ended, len(now.trusted)
     accept = h.button(f"accept {trusted}", cls="go", do="carry-all", title="all that are not doubtful, as one step")
     refine = button("refine poses", "carry-refined", "first fit each frame's pose to this frame's surfaces")
     return panel(
@@ -143,7 +148,7 @@ def carrying_html(now: Carrying, picture: Callable[[str], str]) -> Element:
             button("propose again", "carry") if ended and not waiting else None,
             button("close", "carry-end", "drop these proposals"),
         ).with_(id="carry-head"),
-        progress("Frames looked at", len(now.found), now.frames) if not ended and not now.problem else None,
+        progress("Frames looked at", len(now.found), now.frames) if not ended else None,
         note(f"Not carried: {now.problem}", "bad") if now.problem else None,
         h.div(_said(now, len(waiting)), cls="dim"),
         h.div((_proposal(p, one, picture(p.frame)) for p, one in waiting), cls="strip"),
