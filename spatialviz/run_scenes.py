@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.base import scene_of, scenes_of
 from pipeline.language.counted import counted
 from pipeline.scenes.map_files import map_path, read_map, save_map
+from pipeline.scenes.move_check import RobotMove, robot_moves
 from pipeline.scenes.object_map import ObjectMap, map_record, map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.system.errors import FrameUnusable
@@ -26,7 +27,9 @@ def run_map(command: MapCommand) -> int:
     whole = True
     for made in _maps(command, source):
         whole = whole and len(made.left_out) == 0
-        command.write(map_record(made), print_map, made)
+        driven = robot_moves(source.dataset, made.frame_ids)
+        record = map_record(made) | ({"moves": [m.record() for m in driven]} if driven else {})
+        command.write(record, lambda made, driven=driven: print_map(made, driven), made)
     return FINE if whole else NO
 
 
@@ -60,8 +63,8 @@ def _maps(command: MapCommand, source: Pipeline) -> Iterator[ObjectMap]:
     warn(*(f"left out: {error}" for error in unposed))
 
 
-def print_map(made: ObjectMap) -> None:
-    """Print the objects of a scene, residuals of its poses by pair, refinements, and the frames that were left out."""
+def print_map(made: ObjectMap, driven: Sequence[RobotMove] = ()) -> None:
+    """Print a scene's objects, residuals of its poses by pair, refinements, frames left out, and wrong moves."""
     states = Counter(o.state for o in made.objects)
     told = "".join(f", {states[state]} {state}" for state in ("moved", "doubtful") if states[state])
     frames = f"  {counted(len(made.frame_ids), 'frame')}, {counted(len(made.objects), 'object')}{told}"
@@ -91,3 +94,15 @@ def print_map(made: ObjectMap) -> None:
         moves = f"refined, it moves {100 * r.moved_m:.1f} cm and turns {r.turned_deg:.1f} degrees"
         say(f"frame {r.frame_id}: {moves}, agreement {r.agree_before:.2f} -> {r.agree:.2f}; {told}")
     say_lines((f"left out {i}: {reason}" for i, reason in made.left_out.items()), "yellow")
+    wrong = [m for m in driven if not m.agrees]
+    if driven:
+        say(f"{len(driven) - len(wrong)} of {counted(len(driven), 'move')} of the robot agree with the poses")
+    say_lines(
+        (
+            f"{m.move} from {m.frame} to {m.other}: the poses turn {m.turned_deg:.0f} degrees to the right, and move "
+            f"{m.moved_m[0]:.2f} m to the right, {m.moved_m[1]:.2f} m forward"
+            for m in wrong
+        ),
+        "yellow",
+        PAIRS,
+    )

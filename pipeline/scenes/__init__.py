@@ -9,6 +9,7 @@ from pipeline.system.lazy_exports import lazy_exports
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.scenes.map_files import read_map, save_map
+    from pipeline.scenes.move_check import robot_moves
     from pipeline.scenes.object_map import map_scene
     from pipeline.scenes.propagation import propagate
     from pipeline.scenes.views import PosedView, posed_frames
