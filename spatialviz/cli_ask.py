@@ -89,6 +89,9 @@ class AskCommand(Output):
     try_mend: Annotated[Flag, arg(name="try")] = False
     """Try what would make a wrong answer right; with --run also what a setting of its kind does to the whole run."""
     labels: Truth = None
+    map: Path | None = None
+    """Folder of object maps that `map` wrote, for the verdict NOT-SEEN: the frame does not show what is asked for, and
+    others do. Default: the run's."""
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,9 @@ class Judge:
             if corrected is not None and case is not None:
                 known["case"] = answered_case(corrected, truth, case, trace)
             evidence = before.evidence if isinstance(before, Diagnosis) else None
-            return judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known)
+            found = judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known)
+            maps = None if name not in self._runs else self._runs[name].maps
+            return found if maps is None or isinstance(found, str) else maps.judged(found)
         except InputError as error:
             return str(error)
 

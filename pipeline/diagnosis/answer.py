@@ -16,9 +16,9 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.datasets.plausible import depth_doubt
 from pipeline.diagnosis.oracles import RECALL, names_of
-from pipeline.diagnosis.story import unjudged_story
+from pipeline.diagnosis.story import unjudged_story, unseen_story
 from pipeline.diagnosis.story_words import Story
-from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
+from pipeline.diagnosis.verdict import MODULE_OF, NOT_SEEN, Diagnosis, Unseen
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from pipeline.system.errors import InputError
@@ -227,6 +227,7 @@ class Answer(InNotebook):
     diagnosis: Diagnosis | None = None  # None where there is no verdict
     # Why there is a truth and no verdict on this answer; None also where no truth is known at all
     unjudged: str | None = None
+    unseen: Unseen | None = None  # What it needs and the frame does not show, where no truth of the frame judges it
     origin: AnswerSource | None = None  # What answered it, where one is asked from Python: edits and the page need it
     edits: Edited | None = None  # What it was answered under, as JSON; None for none
 
@@ -279,18 +280,20 @@ class Answer(InNotebook):
     @property
     def verdict(self) -> str | None:
         """CORRECT, or the module that failed; None without a known truth."""
-        return None if self.diagnosis is None else self.diagnosis.verdict
+        return self.diagnosis.verdict if self.diagnosis is not None else None if self.unseen is None else NOT_SEEN
 
     @property
     def story(self) -> Story:
         """What is said of the answer: right or wrong in a few words, why, and what would mend it."""
         d = self.diagnosis
+        if d is None and self.unseen is not None:
+            return unseen_story(self.unseen, "any")
         return unjudged_story(self.trace, self.problem, self.unjudged) if d is None else d.story
 
     @property
     def why(self) -> str | None:
         """Verdict in a sentence; else the reason for none, if known."""
-        return self.unjudged if self.diagnosis is None else self.diagnosis.text
+        return self.story.sentence if self.diagnosis is not None or self.unseen is not None else self.unjudged
 
     def needed_trace(self) -> Trace:
         """Trace; InputError where the expression could not be asked."""
@@ -307,6 +310,9 @@ class Answer(InNotebook):
             record["stages"] = [stage.record() for stage in stages_of(trace, judged, odd_depth=odd)]
         if self.diagnosis is not None:
             return {**record, "verdict": diagnosis_record(self.diagnosis)}
+        if self.unseen is not None:
+            told = {"verdict": NOT_SEEN, "detail": self.unseen.detail, **story_record(self.story)}
+            return {**record, "verdict": told | {"unseen": asdict(self.unseen)}}
         return record | ({} if self.unjudged is None else {"verdict": None, "verdict_reason": self.unjudged})
 
     def what_if(self, edits: Edited) -> Answer:
@@ -390,7 +396,7 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
             }
             for n in d.needed
         ],
-    } | present(missed=missed)
+    } | present(missed=missed, unseen=None if d.unseen is None else asdict(d.unseen))
 
 
 def story_record(told: Story) -> dict[str, Any]:
