@@ -93,10 +93,10 @@ class Diagnosis:
     """Verdict with the repair, and the evidence behind both."""
 
     verdict: str  # One of VERDICTS
-    # WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
-    # THRESHOLD, LOCALISATION, ABSENT; OUT, HIDDEN (of NOT-SEEN); DEGENERATE; CHOICE; CONSTANT (of imported relations: about as probable of every
-    # pair); SCORE (of imported pair scores: the right pair would stand first by what all others scored); the oracles of
-    # COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE
+    # WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; OUT, HIDDEN
+    # (NOT-SEEN); RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as
+    # probable of every pair); SCORE (of imported pair scores: the right pair would stand first by what all others
+    # scored); the oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE
     detail: str | None
     lucky: bool  # Right, but with a pair that is not acceptable
     # The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps

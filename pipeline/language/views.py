@@ -9,6 +9,7 @@ from pipeline.language.chain import FORM, check_judged, other_view
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.openers import ASKERS, FRAMING, is_leading
 from pipeline.language.tokens import Token, joined_words
+from pipeline.language.viewpoint import spoken_viewpoint
 from pipeline.system.errors import Unsupported
 
 
@@ -26,6 +27,9 @@ def without_view(tokens: list[Token], text: str) -> list[Token]:
             tokens = tokens[: starts.index(last.start())]
     singles = {w for t in tokens for w in t.text.split()}
     if not singles.isdisjoint(lexicon.OBJECT_VIEW_WORDS):
+        _, viewpoint = spoken_viewpoint(text)
+        if viewpoint is not None:
+            raise other_view(f"from the {viewpoint.at}", text, viewpoint.at)
         found = lexicon.OBJECT_VIEW.search(joined_words(tokens)[0])
         if found:
             raise other_view(found[0].strip(), text)
