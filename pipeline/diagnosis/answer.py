@@ -16,7 +16,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.datasets.plausible import depth_doubt
 from pipeline.diagnosis.oracles import RECALL, names_of
-from pipeline.diagnosis.story import unjudged_story, unseen_story
+from pipeline.diagnosis.story import unjudged_story
 from pipeline.diagnosis.story_words import Story
 from pipeline.diagnosis.verdict import MODULE_OF, NOT_SEEN, Diagnosis, Unseen
 from pipeline.language.counted import counted
@@ -287,7 +287,7 @@ class Answer(InNotebook):
         """What is said of the answer: right or wrong in a few words, why, and what would mend it."""
         d = self.diagnosis
         if d is None and self.unseen is not None:
-            return unseen_story(self.unseen, "any")
+            return self.unseen.story("any")
         return unjudged_story(self.trace, self.problem, self.unjudged) if d is None else d.story
 
     @property

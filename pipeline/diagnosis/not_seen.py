@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.story import unseen_story
 from pipeline.diagnosis.verdict import NOT_SEEN, Diagnosis, Unseen
 from pipeline.geometry.camera import to_world
 from pipeline.language.naming import match, same_class
@@ -51,7 +50,7 @@ class SceneMaps:
         if unseen is None or not all(found):
             return d
         d = replace(d, verdict=NOT_SEEN, detail=unseen.detail, missed=None, needed_score=None, unseen=unseen)
-        return replace(d, story=unseen_story(unseen, "right"))
+        return replace(d, story=unseen.story("right"))
 
     def answered(self, found: Answer) -> Answer:
         """Answer with the verdict NOT-SEEN, where one applies.
@@ -74,13 +73,7 @@ class SceneMaps:
 
 
 def open_scene_maps(folder: str | Path) -> SceneMaps:
-    """Read the maps of a folder that `spatialviz map` wrote; errors as of `read_maps`.
-
-    >>> open_scene_maps("nowhere")
-    Traceback (most recent call last):
-        ...
-    pipeline.system.errors.InputError: the folder holds no object map (...)
-    """
+    """Read the maps of a folder that `spatialviz map` wrote; errors as of `read_maps`."""
     return SceneMaps(read_maps(Path(folder)))
 
 

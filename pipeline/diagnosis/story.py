@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from math import ceil, floor
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.diagnosis.minimal_repair import FactorRepair, threshold
 from pipeline.diagnosis.needed_score import NeededScore
 from pipeline.diagnosis.story_words import TRUTHS, WORDS, Change, Story, capital, story, words
-from pipeline.diagnosis.verdict import Diagnosis, Missed, Unseen
+from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import HIT, Case
 from pipeline.language.counted import counted
@@ -78,11 +78,6 @@ def unjudged_story(trace: Trace | None, problem: str | None, unjudged: str | Non
     if trace.answered is None and (pair := best_pair(trace)) is not None and stands(trace, pair) is False:
         return story("nearest")
     return story("unjudged", reason=(unjudged or WORDS["no truth"]).rstrip("."))
-
-
-def unseen_story(unseen: Unseen, kind: Literal["right", "any"]) -> Story:
-    """Story of an object that is not in view: the right one, or any of a name."""
-    return story(f"unseen.{unseen.detail.lower()}.{kind}", name=unseen.name, frame=unseen.frames[0])
 
 
 def _ending(d: Diagnosis, mine: str | None) -> str | None:

@@ -13,7 +13,7 @@ from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.minimal_repair import FactorRepair
 from pipeline.diagnosis.needed_score import NeededScore
 from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.story_words import UNTOLD, Story
+from pipeline.diagnosis.story_words import UNTOLD, Story, story
 from pipeline.diagnosis.substitution import substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
@@ -93,10 +93,11 @@ class Diagnosis:
     """Verdict with the repair, and the evidence behind both."""
 
     verdict: str  # One of VERDICTS
-    # WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; OUT, HIDDEN
-    # (NOT-SEEN); RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as
-    # probable of every pair); SCORE (of imported pair scores: the right pair would stand first by what all others
-    # scored); the oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE
+    # WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; OUT,
+    # HIDDEN (NOT-SEEN); RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations:
+    # about as probable of every pair); SCORE (of imported pair scores: the right pair would stand first by what all
+    # others scored); the oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or
+    # NOT-SEPARABLE
     detail: str | None
     lucky: bool  # Right, but with a pair that is not acceptable
     # The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps
@@ -208,3 +209,7 @@ class Unseen:
     object: int  # Id in the map
     detail: str  # OUT: outside the picture; HIDDEN: behind something, or nothing was measured there
     frames: tuple[str, ...]  # Frames that see it, by the distance of their cameras, nearest first
+
+    def story(self, of: Literal["right", "any"]) -> Story:
+        """Story of a right object that is not in view, or of any that has the name."""
+        return story(f"unseen.{self.detail.lower()}.{of}", name=self.name, frame=self.frames[0])
