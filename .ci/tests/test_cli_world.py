@@ -67,4 +67,7 @@ def test_what_a_frame_does_not_show_is_not_the_detectors_fault(tmp_path: Path) -
         verdicts.append(spatialviz(0, "query", run, "SELECT id, verdict FROM records ORDER BY id", "--json").out)
         assert ("map" in json.loads((run / "run.json").read_text())["spec"]) == bool(more)
     assert verdicts[0] == verdicts[1]
-    assert "no object map" in spatialviz(2, "eval", "demo", "--labels", labels, "--out", run, "--map", tmp_path).err
+    assert (
+        "no object map"
+        in spatialviz(2, "eval", "demo", "--labels", labels, "--out", tmp_path / "none", "--map", tmp_path).err
+    )

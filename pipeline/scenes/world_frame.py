@@ -19,7 +19,7 @@ from pipeline.geometry.cleaning import LiftConfig
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
 from pipeline.language.naming import match
-from pipeline.language.viewpoint import spoken_viewpoint
+from pipeline.language.views import spoken_viewpoint
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.scenes.object_map import ObjectMap, Presence, WorldObject, presences

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pipeline.language import parse
-from pipeline.language.viewpoint import Viewpoint, spoken_viewpoint
+from pipeline.language.views import Viewpoint, spoken_viewpoint
 from pipeline.system import InputError
 from pipeline.system.errors import Unsupported
 
