@@ -25,7 +25,7 @@ def test_a_scene_is_asked_from_its_map_and_from_where_nobody_stood(tmp_path: Pat
     spoken = "from the bookshelf, facing the armchair: pillow on the armchair"
     same = spatialviz(0, "ask", "demo", FRAME, spoken, "--world", "--map", maps, "--json").record
     assert same["world"] == record["world"]
-    assert "needs a map of the scene: `ask --world`" in spatialviz(2, "ask", "demo", FRAME, spoken).err
+    assert "with a map of the scene: `ask --world`" in spatialviz(2, "ask", "demo", FRAME, spoken).err
     for wrong, words in (
         (("--facing", "armchair"), "--standing-at X --facing Y"),
         (("--map", tmp_path), "no map of the scene"),

@@ -64,12 +64,11 @@ def check_judged(tokens: Sequence[Token], text: str) -> None:
 
 def other_view(what: str, text: str, at: str | None = None) -> InputError:
     """Error for an expression judged from an object's front, or from somebody's position, `at` a thing."""
+    known = "no object's own front is known; left, right, front and behind are judged from the camera"
     return Unsupported(
         f"'{what}' asks for another view than the camera's",
         got=f"'{text}'",
-        cause="no object's own front is known; left, right, front and behind are judged from the camera"
-        if at is None
-        else f"what is seen from the {at} needs a map of the scene: `ask --world`",
+        cause=known if at is None else f"{known}; from the {at} only with a map of the scene: `ask --world`",
     )
 
 

@@ -36,7 +36,7 @@ BOTH, ONE = Viewpoint("door", "window"), Viewpoint("door", None)
 )
 def test_a_viewpoint_is_split_off_and_needs_a_map(text: str, found: Viewpoint) -> None:
     assert spoken_viewpoint(text) == (ASKED, found)
-    with pytest.raises(Unsupported, match=r"needs a map of the scene: `ask --world`"):
+    with pytest.raises(Unsupported, match=r"with a map of the scene: `ask --world`"):
         parse(text)
 
 
