@@ -27,8 +27,8 @@ from pipeline.system.in_notebook import InNotebook
 
 Mark: TypeAlias = Literal["good", "doubt", "bad", "idle"]
 ALWAYS = ("PARSE", "OPM", "LIFT", "SRM", "PRM")
-Judged: TypeAlias = "Diagnosis | str | None"
-"""The verdict, why there is none, or None where nothing is known of the truth."""
+Judged: TypeAlias = "Diagnosis | Unseen | str | None"
+"""The verdict, what is not in view, why there is none, or None where nothing is known of the truth."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,8 @@ def failed_stages(trace: Trace | None, judged: Judged, refused: str = "PARSE") -
         if judged.verdict != "COMPOUND":
             return (MODULE_OF[judged.verdict],) if judged.verdict in MODULE_OF and judged.verdict != "LABEL" else ()
         return tuple(dict.fromkeys("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair))
+    if isinstance(judged, Unseen):
+        return ()
     if trace is None:
         return (refused,)
     return () if why_no_answer(trace) is None else ("OPM",) if trace.missing else ("PRM",)
@@ -71,8 +73,8 @@ def stages_of(
 
     Parameters
     ----------
-    judged : Diagnosis, str or None
-        The verdict, why there is none, or None where nothing is known of the truth.
+    judged : Diagnosis, Unseen, str or None
+        The verdict, what is not in view, why there is none, or None where nothing is known of the truth.
     pair : ScoredPair, optional
         The one that is looked at; by default the best.
     name : callable, optional
@@ -97,7 +99,8 @@ def stages_of(
         marks["OPM"] = "doubt"
     if isinstance(judged, Diagnosis) and (judged.verdict, judged.detail) == ("PRM", "DEGENERATE"):
         marks["OPM"] = "doubt"
-    if isinstance(judged, Diagnosis) and judged.verdict == "LABEL" and trace.missing:
+    excused = isinstance(judged, Unseen) or (isinstance(judged, Diagnosis) and judged.verdict in ("LABEL", NOT_SEEN))
+    if excused and trace.missing:
         marks["OPM"] = "doubt"
     marks |= dict.fromkeys(failed, "bad")
     return tuple(replace(s, mark=marks.get(s.name, "good" if right and s.name != "LABEL" else s.mark)) for s in every)
@@ -199,8 +202,8 @@ def _label(judged: Judged, annotated: int) -> Stage:
     if isinstance(judged, Diagnosis):
         mark: Mark = "good" if judged.correct else "doubt" if judged.verdict == "LABEL" else "idle"
         return Stage("LABEL", mark, glossary()[judged.verdict].verdict)
-    if isinstance(judged, str):
-        return Stage("LABEL", "idle", "no verdict")
+    if isinstance(judged, str | Unseen):
+        return Stage("LABEL", "idle", glossary()[NOT_SEEN].verdict if isinstance(judged, Unseen) else "no verdict")
     words = f"the dataset annotates {counted(annotated, 'object')}" if annotated else "nothing is known of this frame"
     return Stage("LABEL", "good" if annotated else "idle", words)
 
@@ -304,7 +307,7 @@ class Answer(InNotebook):
     def record(self) -> dict[str, Any]:
         """Record of `ask --json`: `trace_record`, "stages" in words, and with a known truth "verdict", or null with
         "verdict_reason"."""
-        record, judged, trace = _answer_record(self), self.diagnosis or self.unjudged, self.trace
+        record, judged, trace = _answer_record(self), self.diagnosis or self.unseen or self.unjudged, self.trace
         if trace is not None:
             odd = depth_doubt(trace.frame) is not None
             record["stages"] = [stage.record() for stage in stages_of(trace, judged, odd_depth=odd)]

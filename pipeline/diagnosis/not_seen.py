@@ -64,7 +64,8 @@ class SceneMaps:
         if trace is None or made is None:
             return found
         labels = tuple(dict.fromkeys(o.label for o in made.objects))
-        for name in trace.query.labels:
+        # Where nothing is known of the truth, a thing that was found may be one that the map lacks.
+        for name in trace.missing if found.unjudged is None else trace.query.labels:
             meant = match(name, labels)
             unseen = _unseen(made, trace.frame.id, name, [o for o in made.objects if o.label in meant])
             if unseen is not None:

@@ -84,6 +84,7 @@ def test_what_is_hidden_is_not_missed(maps: SceneMaps, text: str, blamed: str) -
     record, number = found.record()["verdict"], found.diagnosis.unseen.object
     assert record["unseen"] == {"name": "mug", "object": number, "detail": "HIDDEN", "frames": (BEFORE,)}
     assert "missed" not in record
+    assert "bad" not in {stage["mark"] for stage in found.record()["stages"]}
     # What is known of the answer stays as it was.
     assert found.record()["answer"] == before.record()["answer"]
 
@@ -112,10 +113,19 @@ def test_without_a_truth_of_the_frame_a_name_decides(maps: SceneMaps) -> None:
     assert (found.unseen.name, found.unseen.detail, found.unseen.frames) == ("mug", "OUT", (BEFORE,))
     assert found.why == f"No mug is in this picture; {BEFORE} shows one."
     assert found.record()["verdict"]["verdict"] == "NOT-SEEN"
+    assert "bad" not in {stage["mark"] for stage in found.record()["stages"]}
     # The crate is in view, and no map knows of a spoon.
     assert maps.answered(asked(NEITHER, "crate left of the box")).verdict == "CORRECT"
     unknown = asked(NEITHER, "spoon on the fork")
     assert maps.answered(unknown) == unknown
+
+
+def test_what_was_found_is_not_denied_where_nothing_is_known_of_the_truth(maps: SceneMaps) -> None:
+    own = maps.maps["s"]
+    nowhere = replace(own, objects=tuple(replace(o, presence=dict.fromkeys(o.presence, "out")) for o in own.objects))
+    found = replace(asked(NEITHER, "crate left of the box"), diagnosis=None)
+    assert SceneMaps({"s": nowhere}).answered(found) == found
+    assert SceneMaps({"s": nowhere}).answered(replace(found, unjudged="true of nothing")).verdict == "NOT-SEEN"
 
 
 def test_a_verdict_that_no_map_gave_is_not_listed() -> None:
