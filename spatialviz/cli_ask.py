@@ -89,6 +89,9 @@ class AskCommand(Output):
     try_mend: Annotated[Flag, arg(name="try")] = False
     """Try what would make a wrong answer right; with --run also what a setting of its kind does to the whole run."""
     labels: Truth = None
+    map: Path | None = None
+    """Folder of object maps that `map` wrote, for the verdict NOT-SEEN: the frame does not show what is asked for, and
+    others do. Default: the run's."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,8 @@ class WorldCommand(Output):
     map: Path | None = None
     """Folder of object maps that `map` wrote. Default: the scene is mapped for the question."""
     standing_at: str | None = None
-    """Answer for somebody who stands at this object ("door"), and not for the frame's camera."""
+    """Answer for somebody who stands at this object ("door"), and not for the frame's camera. A sentence may say so
+    itself: "from the door, facing the window: ...", "..., as seen from the sofa"."""
     facing: str | None = None
     """With --standing-at: the object that one faces ("window")."""
 

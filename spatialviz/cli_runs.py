@@ -68,6 +68,9 @@ class EvalCommand(WritesRun):
     """What the numbers of its boxes mean, where a sample of its answers does not say it; as of import-run."""
     marks: Path | None = None
     """JSON of labels that a person found wrong: [{"frame", "id", "mark": "BAD_LABEL" | "BAD_BOX"}]."""
+    map: Path | None = None
+    """Folder of object maps that `map` wrote. What a frame does not show, and others do, is NOT-SEEN then, and not the
+    detector's fault."""
     tables: Literal["grounding", "relations", "both", "paper"] | None = None
     """grounding: expressions | relations: relations alone, pair by pair | both | paper: both, printed as the paper's
     tables with its published rows. Default: both for --system pipeline, else grounding."""

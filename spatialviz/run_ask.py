@@ -50,7 +50,13 @@ def run_ask(command: AskCommand) -> int:
     answered = 0
     pipeline, labels, run = _opened(command)
     known = {} if run is None else {"marks": run.spec.marks, "confidence": run.spec.confidence}
+    maps = None if run is None else run.maps
+    if command.map is not None:
+        from pipeline.diagnosis.not_seen import open_scene_maps
+
+        maps = open_scene_maps(command.map)
     for answer in ask_and_judge(pipeline, command.frame, command.expressions, labels, warn_skipped, **known):
+        answer = answer if maps is None else maps.answered(answer)
         trace = answer.needed_trace()
         answered += answer.holds is True
         tried = _tried(answer, run) if command.try_mend else {}
@@ -135,10 +141,10 @@ def print_answer(answer: Answer, trace: Trace) -> None:
     stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
     made = f"detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}"
     say(f"{stages} · {made}", style="dim")
-    if answer.diagnosis is not None:
-        found = answer.diagnosis
-        name = shown_verdict(found.verdict, found.detail, found.lucky)
-        style = "bold green" if found.correct else "bold yellow"
+    found = answer.diagnosis or answer.unseen
+    if answer.verdict is not None and found is not None:
+        name = shown_verdict(answer.verdict, found.detail, answer.diagnosis is not None and answer.diagnosis.lucky)
+        style = "bold green" if answer.verdict == "CORRECT" else "bold yellow"
         say(("verdict ", "dim"), (name, style), f"  {answer.story.head}")
         say_lines(filter(None, (answer.story.sentence, answer.story.mend)))
     elif answer.unjudged is not None:

@@ -108,6 +108,7 @@ def run_eval(command: EvalCommand) -> None:
         relations=relations,
         verdicts=command.verdicts,
         marks={} if command.marks is None else read_marks(command.marks),
+        map=None if command.map is None else str(command.map),
     )
     with rate_bar("evaluating", "expressions" if grounding else "frames") as advance:
         report = evaluate_dataset(

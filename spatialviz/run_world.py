@@ -11,7 +11,7 @@ from pipeline.language.counted import counted
 from pipeline.scenes.map_files import map_path, read_map
 from pipeline.scenes.object_map import Presence, map_scene
 from pipeline.scenes.views import posed_frames
-from pipeline.scenes.world_frame import WorldFrame, ask_world, from_frame, imagined, presence_from
+from pipeline.scenes.world_frame import WorldFrame, ask_world, asked_from, from_frame, imagined, presence_from
 from pipeline.system.errors import require
 from spatialviz.cli_ask import WorldCommand
 from spatialviz.options import ALL_FRAMES, FINE, NO
@@ -42,11 +42,13 @@ def run_world(command: WorldCommand) -> int:
         require(path.is_file(), f"there is no map of the scene {scene}", expected="spatialviz map DATASET", path=path)
         made = read_map(path)
     if command.standing_at is None or command.facing is None:
-        world = from_frame(pipeline, made, frame_id)
+        given = from_frame(pipeline, made, frame_id)
     else:
-        world = imagined(pipeline, made, command.standing_at, command.facing)
+        given = imagined(pipeline, made, command.standing_at, command.facing)
     answered = 0
-    for text in command.expressions:
+    for said in command.expressions:
+        text, spoken = asked_from(pipeline, made, said)
+        world = spoken or given
         trace = ask_world(pipeline, world, text)
         answer = judged(trace, pipeline, world, None)
         answered += answer.holds is True

@@ -105,7 +105,7 @@ class Judge:
             if corrected is not None and case is not None:
                 known["case"] = answered_case(corrected, truth, case, trace)
             evidence = before.evidence if isinstance(before, Diagnosis) else None
-            return judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known)
+            return self._mapped(name, judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known))
         except InputError as error:
             return str(error)
 
@@ -118,9 +118,14 @@ class Judge:
             known = self.known(name, context.frame.id, truth, expression, source)
             if truth is None or known["case"] is None:
                 return None
-            return judge_refused(source, context, truth, known.pop("case"), **known)
+            return self._mapped(name, judge_refused(source, context, truth, known.pop("case"), **known))
         except InputError as error:
             return str(error)
+
+    def _mapped(self, name: str, found: Diagnosis | str) -> Diagnosis | str:
+        """Verdict by the object maps of a source's run, if it has any."""
+        maps = None if name not in self._runs else self._runs[name].maps
+        return found if maps is None or isinstance(found, str) else maps.judged(found)
 
     def known(
         self, name: str, frame: str, truth: FrameCases | None, expression: str | None, source: Pipeline | None = None

@@ -18,7 +18,7 @@ from pipeline.datasets.plausible import depth_doubt
 from pipeline.diagnosis.oracles import RECALL, names_of
 from pipeline.diagnosis.story import unjudged_story
 from pipeline.diagnosis.story_words import Story
-from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
+from pipeline.diagnosis.verdict import MODULE_OF, NOT_SEEN, Diagnosis, Unseen
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from pipeline.system.errors import InputError
@@ -27,8 +27,8 @@ from pipeline.system.in_notebook import InNotebook
 
 Mark: TypeAlias = Literal["good", "doubt", "bad", "idle"]
 ALWAYS = ("PARSE", "OPM", "LIFT", "SRM", "PRM")
-Judged: TypeAlias = "Diagnosis | str | None"
-"""The verdict, why there is none, or None where nothing is known of the truth."""
+Judged: TypeAlias = "Diagnosis | Unseen | str | None"
+"""The verdict, what is not in view, why there is none, or None where nothing is known of the truth."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,8 @@ def failed_stages(trace: Trace | None, judged: Judged, refused: str = "PARSE") -
         if judged.verdict != "COMPOUND":
             return (MODULE_OF[judged.verdict],) if judged.verdict in MODULE_OF and judged.verdict != "LABEL" else ()
         return tuple(dict.fromkeys("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair))
+    if isinstance(judged, Unseen):
+        return ()
     if trace is None:
         return (refused,)
     return () if why_no_answer(trace) is None else ("OPM",) if trace.missing else ("PRM",)
@@ -71,8 +73,8 @@ def stages_of(
 
     Parameters
     ----------
-    judged : Diagnosis, str or None
-        The verdict, why there is none, or None where nothing is known of the truth.
+    judged : Diagnosis, Unseen, str or None
+        The verdict, what is not in view, why there is none, or None where nothing is known of the truth.
     pair : ScoredPair, optional
         The one that is looked at; by default the best.
     name : callable, optional
@@ -97,7 +99,8 @@ def stages_of(
         marks["OPM"] = "doubt"
     if isinstance(judged, Diagnosis) and (judged.verdict, judged.detail) == ("PRM", "DEGENERATE"):
         marks["OPM"] = "doubt"
-    if isinstance(judged, Diagnosis) and judged.verdict == "LABEL" and trace.missing:
+    excused = isinstance(judged, Unseen) or (isinstance(judged, Diagnosis) and judged.verdict in ("LABEL", NOT_SEEN))
+    if excused and trace.missing:
         marks["OPM"] = "doubt"
     marks |= dict.fromkeys(failed, "bad")
     return tuple(replace(s, mark=marks.get(s.name, "good" if right and s.name != "LABEL" else s.mark)) for s in every)
@@ -199,8 +202,8 @@ def _label(judged: Judged, annotated: int) -> Stage:
     if isinstance(judged, Diagnosis):
         mark: Mark = "good" if judged.correct else "doubt" if judged.verdict == "LABEL" else "idle"
         return Stage("LABEL", mark, glossary()[judged.verdict].verdict)
-    if isinstance(judged, str):
-        return Stage("LABEL", "idle", "no verdict")
+    if isinstance(judged, str | Unseen):
+        return Stage("LABEL", "idle", glossary()[NOT_SEEN].verdict if isinstance(judged, Unseen) else "no verdict")
     words = f"the dataset annotates {counted(annotated, 'object')}" if annotated else "nothing is known of this frame"
     return Stage("LABEL", "good" if annotated else "idle", words)
 
@@ -227,6 +230,7 @@ class Answer(InNotebook):
     diagnosis: Diagnosis | None = None  # None where there is no verdict
     # Why there is a truth and no verdict on this answer; None also where no truth is known at all
     unjudged: str | None = None
+    unseen: Unseen | None = None  # What it needs and the frame does not show, where no truth of the frame judges it
     origin: AnswerSource | None = None  # What answered it, where one is asked from Python: edits and the page need it
     edits: Edited | None = None  # What it was answered under, as JSON; None for none
 
@@ -279,18 +283,20 @@ class Answer(InNotebook):
     @property
     def verdict(self) -> str | None:
         """CORRECT, or the module that failed; None without a known truth."""
-        return None if self.diagnosis is None else self.diagnosis.verdict
+        return self.diagnosis.verdict if self.diagnosis is not None else None if self.unseen is None else NOT_SEEN
 
     @property
     def story(self) -> Story:
         """What is said of the answer: right or wrong in a few words, why, and what would mend it."""
         d = self.diagnosis
+        if d is None and self.unseen is not None:
+            return self.unseen.story("any")
         return unjudged_story(self.trace, self.problem, self.unjudged) if d is None else d.story
 
     @property
     def why(self) -> str | None:
         """Verdict in a sentence; else the reason for none, if known."""
-        return self.unjudged if self.diagnosis is None else self.diagnosis.text
+        return self.story.sentence if self.diagnosis is not None or self.unseen is not None else self.unjudged
 
     def needed_trace(self) -> Trace:
         """Trace; InputError where the expression could not be asked."""
@@ -301,12 +307,15 @@ class Answer(InNotebook):
     def record(self) -> dict[str, Any]:
         """Record of `ask --json`: `trace_record`, "stages" in words, and with a known truth "verdict", or null with
         "verdict_reason"."""
-        record, judged, trace = _answer_record(self), self.diagnosis or self.unjudged, self.trace
+        record, judged, trace = _answer_record(self), self.diagnosis or self.unseen or self.unjudged, self.trace
         if trace is not None:
             odd = depth_doubt(trace.frame) is not None
             record["stages"] = [stage.record() for stage in stages_of(trace, judged, odd_depth=odd)]
         if self.diagnosis is not None:
             return {**record, "verdict": diagnosis_record(self.diagnosis)}
+        if self.unseen is not None:
+            told = {"verdict": NOT_SEEN, "detail": self.unseen.detail, **story_record(self.story)}
+            return {**record, "verdict": told | {"unseen": asdict(self.unseen)}}
         return record | ({} if self.unjudged is None else {"verdict": None, "verdict_reason": self.unjudged})
 
     def what_if(self, edits: Edited) -> Answer:
@@ -390,7 +399,7 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
             }
             for n in d.needed
         ],
-    } | present(missed=missed)
+    } | present(missed=missed, unseen=None if d.unseen is None else asdict(d.unseen))
 
 
 def story_record(told: Story) -> dict[str, Any]:

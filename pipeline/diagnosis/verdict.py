@@ -13,7 +13,7 @@ from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.minimal_repair import FactorRepair
 from pipeline.diagnosis.needed_score import NeededScore
 from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.story_words import UNTOLD, Story
+from pipeline.diagnosis.story_words import UNTOLD, Story, story
 from pipeline.diagnosis.substitution import substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
@@ -21,10 +21,12 @@ from pipeline.system.frozen import dataclass
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
 
+NOT_SEEN = "NOT-SEEN"
 VERDICTS: tuple[str, ...] = (
     "CORRECT",
     "PARSE",
     "LABEL",
+    NOT_SEEN,
     "OPM-TARGET",
     "OPM-REF",
     "LIFT",
@@ -36,7 +38,7 @@ VERDICTS: tuple[str, ...] = (
     "UNEXPLAINED",
 )
 """In the order in which they are decided; ATTRIBUTE only of expressions with attributes, UNEXPLAINED only of imported
-predictions."""
+predictions, NOT-SEEN only with an object map."""
 
 
 def shown_detail(detail: str | None, lucky: bool = False) -> str:
@@ -60,11 +62,15 @@ RULES_VERSION = 2
 
 
 def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
-    """VERDICTS; ATTRIBUTE and UNEXPLAINED only where present: plain expressions of our own never have them.
+    """VERDICTS; ATTRIBUTE, NOT-SEEN, UNEXPLAINED only where present: plain expressions of our own never have them.
 
     Where some are unexplained, a module that none names is not known to cost nothing, and is left out.
     """
-    always = VERDICTS[:3] if "UNEXPLAINED" in occurring else tuple(v for v in VERDICTS[:-1] if v != "ATTRIBUTE")
+    always = (
+        VERDICTS[:3]
+        if "UNEXPLAINED" in occurring
+        else tuple(v for v in VERDICTS[:-1] if v not in ("ATTRIBUTE", NOT_SEEN))
+    )
     return tuple(v for v in VERDICTS if v in always or v in occurring)
 
 
@@ -87,10 +93,11 @@ class Diagnosis:
     """Verdict with the repair, and the evidence behind both."""
 
     verdict: str  # One of VERDICTS
-    # WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
-    # THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as probable of every
-    # pair); SCORE (of imported pair scores: the right pair would stand first by what all others scored); the oracles of
-    # COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE
+    # WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; OUT,
+    # HIDDEN (NOT-SEEN); RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations:
+    # about as probable of every pair); SCORE (of imported pair scores: the right pair would stand first by what all
+    # others scored); the oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or
+    # NOT-SEPARABLE
     detail: str | None
     lucky: bool  # Right, but with a pair that is not acceptable
     # The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps
@@ -109,6 +116,7 @@ class Diagnosis:
     false_reference: bool = False
     missed: Missed | None = None  # With OPM-TARGET and OPM-REF
     missed_name: str | None = None  # The class name of which the right object is missing
+    unseen: Unseen | None = None  # With NOT-SEEN
     # Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win
     mends: tuple[str, ...] = ()
     # What one factor alone would have to be for the best acceptable pair to win; empty where one wins
@@ -191,3 +199,17 @@ class Missed:
     score: float | None = None  # Of the box that was cut off, or of the best overlapping one
     rank: int | None = None  # With RANK: its rank from 1 by score, before suppression
     suppressed: bool = False  # With RANK: a better-scored box overlapped it too much
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Object of a scene that a frame does not show, by the scene's object map."""
+
+    name: str  # As asked
+    object: int  # Id in the map
+    detail: str  # OUT: outside the picture; HIDDEN: behind something, or nothing was measured there
+    frames: tuple[str, ...]  # Frames that see it, by the distance of their cameras, nearest first
+
+    def story(self, of: Literal["right", "any"]) -> Story:
+        """Story of a right object that is not in view, or of any that has the name."""
+        return story(f"unseen.{self.detail.lower()}.{of}", name=self.name, frame=self.frames[0])

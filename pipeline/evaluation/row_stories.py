@@ -54,6 +54,10 @@ def _kind(row: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         return kinds.get(detail, "label.another" if sure else "label.perhaps"), names
     if row["verdict"] == "PARSE":
         return "misread.refused" if row["problem"] else "misread", names
+    if row["verdict"] == "NOT-SEEN":
+        return f"unseen.{detail.lower() if detail == 'HIDDEN' else 'out'}.right", {
+            "name": row["missed_name"] or row["target"]
+        }
     if row["verdict"] in ("OPM-TARGET", "OPM-REF"):
         role = "target" if row["verdict"] == "OPM-TARGET" else "reference"
         on_it = max(TOUCHES, (row["missed_overlap"] or 0) - 1e-6) <= (row["set_iou"] or 0)

@@ -21,6 +21,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import answer, labelled_truth
+from pipeline.diagnosis.not_seen import SceneMaps
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
@@ -132,7 +133,8 @@ def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> 
     case = needed(case, f"the labels have no expression {expression} of frame {frame}", path=root)
     mark, context = spec.marks.get((frame, expression)), source.prepare(frame)
     found = answer(source, context, case.text, truth=truth, case=case, mark=mark, confidence=spec.confidence)
-    return replace(found, origin=opened)
+    maps = spec.maps
+    return replace(found if maps is None else maps.answered(found), origin=opened)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +207,11 @@ class Run(InNotebook):
         """The labels; raises as `open_labels`."""
         return open_labels(named_before(self.spec.labels))
 
+    @cached_property
+    def maps(self) -> SceneMaps | None:
+        """The object maps; errors as of `open_scene_maps`."""
+        return self.spec.maps
+
     def failures(self, search: str = "") -> Failures:
         """Expressions found by a search, as by `spatialviz failures`: "verdict:SRM relation:behind margin<0.1"; without
         a search all failures.
@@ -257,7 +264,7 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
         "limit": spec.limit,
         "confidence": spec.confidence,
         "marks": [[frame, expression, mark] for (frame, expression), mark in sorted(spec.marks.items())],
-    }
+    } | ({} if spec.map is None else {"map": written_path(spec.map, folder)})
 
 
 def written_path(path: str | Path, folder: Path) -> str:
@@ -357,6 +364,7 @@ def _read_spec(record: Mapping[str, Any], folder: Path, used: Any = None) -> Eva
         limit=record["limit"],
         confidence=record["confidence"],
         marks={(frame, expression): mark for frame, expression, mark in record["marks"]},
+        map=resolved_path(str(record["map"]), folder) if record.get("map") else None,
     )
 
 

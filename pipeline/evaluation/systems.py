@@ -20,6 +20,7 @@ from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence, matched
 from pipeline.diagnosis.imported_answers import answered_box, answered_overlap
+from pipeline.diagnosis.not_seen import SceneMaps, open_scene_maps
 from pipeline.diagnosis.substitution import substitutions
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.leakage import Measured, measured_of
@@ -130,10 +131,16 @@ class EvalSpec:
     verdicts: bool = True  # diagnose each expression; without, the evaluation is a third cheaper
     # marks: labels that a person marked: (frame, id of the expression) -> "BAD_LABEL" or "BAD_BOX"
     marks: dict[tuple[str, str], str] = field(default_factory=dict)
+    map: str | None = None  # folder of object maps, which tell what a frame does not show (NOT-SEEN)
 
     def open(self) -> tuple[Pipeline, Labels]:
         """Open the dataset with the models, and the labels."""
         return open_source(self.dataset, **self.options), open_labels(self.labels)
+
+    @property
+    def maps(self) -> SceneMaps | None:
+        """Object maps, read anew; errors as of `open_scene_maps`."""
+        return None if self.map is None else open_scene_maps(self.map)
 
 
 def context_of(
@@ -178,7 +185,7 @@ class OwnPipeline:
         return self, ()
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
-        class_names = class_names_of(labels)
+        class_names, maps = class_names_of(labels), spec.maps
         parsed: dict[str, tuple[Query | None, InputError | None]] = {}
 
         def records(truth: FrameCases, given: PreparedFrame | None) -> list[dict[str, Any]]:
@@ -201,9 +208,8 @@ class OwnPipeline:
                 for case, row, found in zip(truth.cases, rows, ranked, strict=True):
                     mark, (query, problem) = spec.marks.get((row["frame"], case.id)), parsed[case.text]
                     read = row["parse_ok"]
-                    row |= diagnosis_columns(
-                        diagnose(evidence, case, parse_ok=read, mark=mark, query=query, problem=problem, found=found)
-                    )
+                    d = diagnose(evidence, case, parse_ok=read, mark=mark, query=query, problem=problem, found=found)
+                    row |= diagnosis_columns(d if maps is None else maps.judged(d))
             return rows
 
         return records
@@ -242,7 +248,7 @@ class ImportedPredictions:
         return self, ()
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
-        class_names, file = class_names_of(labels), file_of(source)
+        class_names, file, maps = class_names_of(labels), file_of(source), spec.maps
 
         def records(truth: FrameCases, given: PreparedFrame | None) -> list[dict[str, Any]]:
             cases = tuple(c for c in truth.cases if file.line(truth.frame, c.text) is not None)
@@ -250,7 +256,7 @@ class ImportedPredictions:
                 return []
             truth = replace(truth, cases=cases)
             context = context_of(source, truth, given, clock, boxes=True)
-            return [_row(spec, source, truth, case, context, class_names, clock) for case in cases]
+            return [_row(spec, source, truth, case, context, class_names, clock, maps) for case in cases]
 
         return records
 
@@ -263,6 +269,7 @@ def _row(
     context: PreparedFrame,
     class_names: tuple[str, ...],
     clock: StageClock,
+    maps: SceneMaps | None,
 ) -> dict[str, Any]:
     """Record of an expression."""
     own = source.asked(truth.frame, case.text)
@@ -282,6 +289,7 @@ def _row(
         evidence = FrameEvidence(truth, answers, confidence_of(spec), (case,))
         mark = spec.marks.get((truth.frame, case.id))
         found = diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=problem)
+        found = found if maps is None else maps.judged(found)
         row |= diagnosis_columns(found) | {"worked_out": _worked_out(file, found, case, line)}
     return row
 

@@ -111,6 +111,7 @@ VERDICTS: dict[str, RGB] = {
     "CORRECT": (5, 110, 67),
     "PARSE": (168, 203, 208),
     "LABEL": (246, 196, 91),
+    "NOT-SEEN": (48, 57, 87),
     "OPM-TARGET": (105, 101, 248),
     "OPM-REF": (202, 190, 252),
     "LIFT": (9, 145, 150),

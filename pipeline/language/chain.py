@@ -62,12 +62,13 @@ def check_judged(tokens: Sequence[Token], text: str) -> None:
         )
 
 
-def other_view(what: str, text: str) -> InputError:
-    """Error for an expression judged from an object's front, or from somebody's position."""
+def other_view(what: str, text: str, at: str | None = None) -> InputError:
+    """Error for an expression judged from an object's front, or from somebody's position, `at` a thing."""
+    known = "no object's own front is known; left, right, front and behind are judged from the camera"
     return Unsupported(
         f"'{what}' asks for another view than the camera's",
         got=f"'{text}'",
-        cause="no object's own front is known; left, right, front and behind are judged from the camera",
+        cause=known if at is None else f"{known}; from the {at} only with a map of the scene: `ask --world`",
     )
 
 

@@ -312,6 +312,10 @@ VIEW_WORDS = _words(
     "camera camera's viewer viewer's observer observer's robot robot's photographer photographer's user user's me here "
     "view viewpoint point perspective position frame image scene picture photo vantage"
 )
+NO_PLACES = VIEW_WORDS | _words(
+    "there you us it them above below behind front left right top bottom back side angle outside inside standpoint"
+)
+"""Last words of what nobody can stand at: the camera, or a direction."""
 VIEW = re.compile(rf"(?:{CAMERA_VIEW})(?= |$)")
 VIEW_LAST = re.compile(rf"(?<= )(?:{CAMERA_VIEW}|in (?:the|this) (?:image|scene))$")
 

@@ -2,14 +2,73 @@
 
 from __future__ import annotations
 
+import re
+from functools import cache
+
 from pipeline.language import choices, lexicon
 from pipeline.language.attribute_reader import is_name
 from pipeline.language.attributes import attribute
 from pipeline.language.chain import FORM, check_judged, other_view
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.openers import ASKERS, FRAMING, is_leading
-from pipeline.language.tokens import Token, joined_words
+from pipeline.language.tokens import Token, check_text, joined_words
 from pipeline.system.errors import Unsupported
+from pipeline.system.frozen import dataclass
+
+_WHO = r"(?:(?:you|i|one|we|someone|somebody)(?: are| am| is| were|'re|'m|'s)? )?"
+_STANDING = rf"{_WHO}(?:stand|stands|standing|sit|sits|sitting|seated) (?:at|by|near|next to|beside|on|in)"
+_FACING = (
+    rf",? (?:and |while |when )?{_WHO}(?:facing|faces?|(?:looking|looks?) (?:at|to|towards?)|turned (?:to|towards?))"
+)
+_AT, _FACED = (
+    rf" (?:(?:the|an?|my|your|our|this|that) )?(?P<{role}>[^\s,;:.!?][^,;:.!?]*?)" for role in ("at", "facing")
+)
+_SEEN = r"(?:as |when )?(?:seen|viewed|observed|looking)"
+_WHOSE = r"(?:point of view|viewpoint|perspective|position|standpoint)"
+_VIEWS = (
+    rf"{_STANDING}{_AT}{_FACING}{_FACED}",
+    rf"(?:{_SEEN} )?from{_AT}{_FACING}{_FACED}",
+    rf"(?:{_SEEN} )?from the {_WHOSE} of{_AT}",
+    rf"(?:{_SEEN} )?from{_AT}'s? {_WHOSE}",
+    rf"{_SEEN} from{_AT}",
+)
+_IF = r"(?:if|when|while|imagine|suppose|assume)(?: that)? "
+
+
+@cache
+def _viewpoints() -> list[re.Pattern[str]]:
+    """Expressions that begin with a viewpoint, and that end with one."""
+    first = [rf"(?:{_IF})?{view} ?[,;:.] ?(?P<rest>.+)" for view in _VIEWS]
+    # Who stands there is the thing itself in `the man standing at ...`.
+    before = [rf"(?:, ?(?:{_IF})?| {'' if k else _IF})" for k in range(len(_VIEWS))]
+    last = [rf"(?P<rest>.+?){start}{view} ?[.?!]*" for start, view in zip(before, _VIEWS, strict=True)]
+    return [re.compile(pattern, re.IGNORECASE) for pattern in (*first, *last)]
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """Somebody's place and direction, each by the name of a thing."""
+
+    at: str
+    facing: str | None  # None where it is not said: then the reference is faced
+
+
+def spoken_viewpoint(text: str) -> tuple[str, Viewpoint | None]:
+    """Split an expression into what is asked and the viewpoint it is asked from; None for none, or the camera's.
+
+    Raises InputError as `check_text`.
+
+    >>> spoken_viewpoint("standing at the door, facing the window, the chair left of the table")
+    ('the chair left of the table', Viewpoint(at='door', facing='window'))
+    >>> spoken_viewpoint("the chair left of the table, as seen from the sofa")
+    ('the chair left of the table', Viewpoint(at='sofa', facing=None))
+    """
+    text = check_text(text)
+    for pattern in _viewpoints():
+        found = pattern.fullmatch(text)
+        if found is not None and found["at"].split()[-1].casefold() not in lexicon.NO_PLACES:
+            return found["rest"], Viewpoint(found["at"], found.groupdict().get("facing"))
+    return text, None
 
 
 def without_view(tokens: list[Token], text: str) -> list[Token]:
@@ -26,6 +85,9 @@ def without_view(tokens: list[Token], text: str) -> list[Token]:
             tokens = tokens[: starts.index(last.start())]
     singles = {w for t in tokens for w in t.text.split()}
     if not singles.isdisjoint(lexicon.OBJECT_VIEW_WORDS):
+        _, viewpoint = spoken_viewpoint(text)
+        if viewpoint is not None:
+            raise other_view(f"from the {viewpoint.at}", text, viewpoint.at)
         found = lexicon.OBJECT_VIEW.search(joined_words(tokens)[0])
         if found:
             raise other_view(found[0].strip(), text)

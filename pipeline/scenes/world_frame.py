@@ -19,6 +19,7 @@ from pipeline.geometry.cleaning import LiftConfig
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
 from pipeline.language.naming import match
+from pipeline.language.views import spoken_viewpoint
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.scenes.object_map import ObjectMap, Presence, WorldObject, presences
@@ -120,6 +121,28 @@ def imagined(pipeline: Pipeline, made: ObjectMap, at: str, facing: str) -> World
     shade = (40 + 160 / np.maximum(depth, 1.0) * (depth > 0)).astype(np.uint8)
     frame = Frame(f"at {one.label} facing {other.label}", np.repeat(shade[..., None], 3, axis=2), depth, camera)
     return WorldFrame(frame, made, pose, pipeline.config.lift)
+
+
+def asked_from(pipeline: Pipeline, made: ObjectMap, text: str) -> tuple[str, WorldFrame | None]:
+    """Split an expression into what is asked and the viewpoint that it names, as of `imagined`; None for none.
+
+    Who faces nothing in particular faces the reference, or without one the target.
+
+    >>> from pipeline.answering.pipeline import open_pipeline
+    >>> from pipeline.scenes.object_map import map_scene
+    >>> from pipeline.scenes.views import posed_frames
+    >>> from pipeline.scenes.world_frame import asked_from
+    >>> demo = open_pipeline("demo")
+    >>> made = map_scene(demo, "000001", posed_frames(demo.dataset, "000001/000000"))
+    >>> text, world = asked_from(demo, made, "from the bookshelf, facing the armchair: mug left of the laptop")
+    >>> text, world.frame.id
+    ('mug left of the laptop', 'at bookshelf facing armchair')
+    """
+    text, spoken = spoken_viewpoint(text)
+    if spoken is None:
+        return text, None
+    facing = spoken.facing or pipeline.read(text).labels[:2][-1]
+    return text, imagined(pipeline, made, spoken.at, facing)
 
 
 def named_object(made: ObjectMap, name: str) -> WorldObject:

@@ -42,7 +42,7 @@ def random_records(seed: int, rows: int = 60, scenes: int = 4) -> pa.Table:
             "label_margin": maybe(abs(number)),
             "verdict": verdict,
             "detail": maybe(str(rng.choice(["RANK", "ABSENT"]))),
-            "lucky": verdict == "CORRECT" and rng.random() < 0.3,
+            "lucky": verdict == "CORRECT" and rng.random() < 0.5,
             "said": "why",
             "repair": maybe(list(names_of(int(rng.integers(16))))),
             "right_with": int(rng.integers(1 << 16)),

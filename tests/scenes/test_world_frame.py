@@ -8,7 +8,7 @@ from pipeline.answering.objects import all_objects
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.scenes.object_map import ObjectMap, map_scene
 from pipeline.scenes.views import posed_frames
-from pipeline.scenes.world_frame import ask_world, from_frame, imagined, presence_from
+from pipeline.scenes.world_frame import ask_world, asked_from, from_frame, imagined, presence_from
 from pipeline.system import InputError
 
 FRAME = "000001/000000"
@@ -61,6 +61,23 @@ def test_an_imagined_viewpoint_faces_what_it_is_told_to(pipeline: Pipeline, made
     right, other_right = world.pose[:3, 0], back.pose[:3, 0]
     np.testing.assert_allclose(right, -other_right, atol=1e-9)
     assert (world.frame.depth > 0).mean() > 0.2, "the scene is in view"
+
+
+def test_a_sentence_names_its_viewpoint(pipeline: Pipeline, made: ObjectMap) -> None:
+    asked = "lamp left of the laptop"
+    given = ask_world(pipeline, imagined(pipeline, made, "armchair", "laptop"), asked)
+    # Who faces nothing in particular faces the reference.
+    for text in (f"from the armchair, facing the laptop: {asked}", f"{asked}, as seen from the armchair"):
+        rest, world = asked_from(pipeline, made, text)
+        assert world is not None
+        assert world.frame.id == "at armchair facing laptop"
+        trace = ask_world(pipeline, world, rest)
+        assert trace.ranking is not None
+        assert given.ranking is not None
+        assert trace.ranking.pairs[0] == given.ranking.pairs[0]
+    assert asked_from(pipeline, made, asked) == (asked, None)
+    with pytest.raises(InputError, match="no such object"):
+        asked_from(pipeline, made, f"{asked}, as seen from the unicorn")
 
 
 @pytest.mark.parametrize(
