@@ -25,7 +25,7 @@ from pipeline.proposals.base import Detector, Proposals
 from pipeline.scenes.object_map import ObjectMap, Presence, WorldObject, presences
 from pipeline.scenes.views import PosedView
 from pipeline.scenes.voxels import VOXEL_M, centers_of
-from pipeline.system.errors import require
+from pipeline.system.errors import InputError, require
 
 EYE_HEIGHT_M = 1.5
 """Of somebody who stands at an object, above the lowest place of the scene."""
@@ -126,7 +126,8 @@ def imagined(pipeline: Pipeline, made: ObjectMap, at: str, facing: str) -> World
 def asked_from(pipeline: Pipeline, made: ObjectMap, text: str) -> tuple[str, WorldFrame | None]:
     """Split an expression into what is asked and the viewpoint that it names, as of `imagined`; None for none.
 
-    Who faces nothing in particular faces the reference, or without one the target.
+    Who faces nothing in particular faces the reference, or without one the target. Without a target anything is asked
+    for.
 
     >>> from pipeline.answering.pipeline import open_pipeline
     >>> from pipeline.scenes.object_map import map_scene
@@ -141,8 +142,19 @@ def asked_from(pipeline: Pipeline, made: ObjectMap, text: str) -> tuple[str, Wor
     text, spoken = spoken_viewpoint(text)
     if spoken is None:
         return text, None
+    if not _reads(pipeline, text) and _reads(pipeline, f"what is {text}"):
+        # "…, left of the table": anything that is there.
+        text = f"what is {text}"
     facing = spoken.facing or pipeline.read(text).labels[:2][-1]
     return text, imagined(pipeline, made, spoken.at, facing)
+
+
+def _reads(pipeline: Pipeline, text: str) -> bool:
+    try:
+        pipeline.read(text)
+    except InputError:
+        return False
+    return True
 
 
 def named_object(made: ObjectMap, name: str) -> WorldObject:

@@ -75,6 +75,9 @@ def test_a_sentence_names_its_viewpoint(pipeline: Pipeline, made: ObjectMap) -> 
         assert trace.ranking is not None
         assert given.ranking is not None
         assert trace.ranking.pairs[0] == given.ranking.pairs[0]
+    rest, world = asked_from(pipeline, made, "standing at the armchair facing the laptop, left of the laptop")
+    assert rest == "what is left of the laptop"
+    assert world is not None
     assert asked_from(pipeline, made, asked) == (asked, None)
     with pytest.raises(InputError, match="no such object"):
         asked_from(pipeline, made, f"{asked}, as seen from the unicorn")
