@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.datasets.base import Dataset
 from pipeline.datasets.settings import ASSUMED
 from pipeline.datasets.up import OFF_SCENE
 from pipeline.labels.check.expressions import TEXTS_KEPT, check_expressions, triple_of
@@ -26,6 +27,7 @@ from pipeline.labels.check.objects import (
     check_sizes,
     rotation_fault,
 )
+from pipeline.labels.check.other_masks import other_masks
 from pipeline.labels.check.other_views import OtherViews
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.stream import Rows, column_arrays, frame_rows, no_rows
@@ -50,7 +52,9 @@ OF_ANSWERS = (
 """Rules on what an expression says and is true of, which a person may settle."""
 
 
-def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Iterator[Finding]:
+def check_labels(
+    labels: Labels, *, rules: Sequence[str] | None = None, dataset: Dataset | None = None
+) -> Iterator[Finding]:
     """Check labels, even damaged or edited.
 
     What people set in corrected labels is not held against the rules.
@@ -58,12 +62,13 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     The tables are read twice: first as files, with class names and sizes of the objects; then frame by frame. Memory
     grows with classes, not with frames.
 
-    `rules`: names of rules or of groups ("relation"); all by default. Yields first of whole files, then frame by frame.
+    `rules`: names of rules or of groups ("relation"); all by default. `dataset`: the labels' own, whose
+    colour and depth carry masks from view to view; without it masks are not compared. Yields first of whole files, then frame by frame.
 
     Raises InputError: a rule has no such name; before anything is read.
     """
     chosen, by_people = chosen_rules(rules), set_by_people(labels.root)
-    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen)
+    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen, dataset)
     return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
 
 
@@ -92,7 +97,9 @@ def _settled(finding: Finding, by_people: set[tuple[Any, ...]]) -> bool:
     return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people
 
 
-def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
+def _all_findings(
+    labels: Labels, groups: frozenset[str], chosen: frozenset[str], dataset: Dataset | None
+) -> Iterator[Finding]:
     manifest, profile = labels.manifest, str(labels.manifest.profile.get("name"))
     class_names: set[str] = set()
     survey = SizeSurvey()
@@ -121,11 +128,14 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     read = lru_cache(TEXTS_KEPT)(partial(triple_of, tuple(sorted(class_names))))
     scenes: dict[str, list[tuple[str | None, np.ndarray]]] = {}
     others = OtherViews()
+    masks = None if dataset is None or "object/other-masks" not in chosen else other_masks(labels, dataset)
     sound = (frame_rows(labels, name, checked="row" in groups) for name in TABLES if name not in lost)
     for index, tables in by_frame(*sound):
         view = FrameView(index, {name: tables.get(name) or no_rows(name) for name in TABLES}, background, relations)
         if groups & {"object", "relation"}:
             others.add(view)
+        if masks is not None:
+            yield from masks.add(view)
         if groups & {"row", "frame", "object"}:
             yield from check_rows(view)
         if "frame" in groups:
@@ -145,6 +155,8 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
             yield from check_expressions(view, read)
     yield from check_scenes(scenes)
     yield from others.findings()
+    if masks is not None:
+        yield from masks.findings()
 
 
 DISAGREE_DEG = 10.0

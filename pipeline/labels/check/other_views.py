@@ -51,7 +51,7 @@ class OtherViews:
     def add(self, view: FrameView) -> None:
         """Take the objects and relations of a frame in."""
         instances = view.objects["instance"]
-        known = [k for k in range(len(view.ids)) if _is_number(instances[k])]
+        known = [k for k in range(len(view.ids)) if is_number(instances[k])]
         if not view.usable or not known:
             return
         scene = str(view.tables["frames"]["scene"][0])
@@ -134,5 +134,6 @@ def _contradiction(relation: str, holds: SurestState, holds_not: SurestState) ->
         )
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Tell an instance from none."""
     return value is not None and value == value and int(value) >= 0  # pyright: ignore[reportArgumentType]
