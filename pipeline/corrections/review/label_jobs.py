@@ -94,6 +94,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> tuple[pa.Table,
             reviewed,
             DoubtConfig() if job.networks else None,
             judgements=judgements,
+            dataset=job.corrected_dataset(labels) if comparable(labels) else None,
             progress=lambda done, of: report(("networks", done, of)),
         )
         states = states_on_labels(judgements, read_relation_labels(reviewed))

@@ -62,8 +62,9 @@ def check_labels(
     The tables are read twice: first as files, with class names and sizes of the objects; then frame by frame. Memory
     grows with classes, not with frames.
 
-    `rules`: names of rules or of groups ("relation"); all by default. `dataset`: the labels' own, whose
-    colour and depth carry masks from view to view; without it masks are not compared. Yields first of whole files, then frame by frame.
+    `rules`: names of rules or of groups ("relation"); all by default. `dataset`: the labels' own, whose colour and
+    depth carry masks from view to view; without it masks are not compared. Yields first of whole files, then frame by
+    frame.
 
     Raises InputError: a rule has no such name; before anything is read.
     """

@@ -131,13 +131,11 @@ def comparable(labels: Labels) -> bool:
     return max(count.values(), default=0) > LEAST_SOURCES
 
 
-def _compared(
-    frame: MaskedFrame, entry: LabelledObject, label: str, carried: ProposedMask | None
-) -> Iterator[Finding]:
+def _compared(frame: MaskedFrame, entry: LabelledObject, label: str, carried: ProposedMask | None) -> Iterator[Finding]:
     if carried is None or len(carried.sightings) < LEAST_SOURCES:
         return
     own, other = entry.mask.of_picture(frame.size), carried.mask.of_picture(frame.size)
-    agree = np.count_nonzero(own & other) / np.count_nonzero(own | other)
+    agree = float(np.count_nonzero(own & other) / np.count_nonzero(own | other))
     doubt = (1 - agree) * carried.confidence
     if doubt < CONTRADICTED:
         return
@@ -145,7 +143,7 @@ def _compared(
     figures: dict[str, Figure] = {"doubt": round(doubt, 3), "agreement": round(agree, 3), "views": views}
     figures |= {"confidence": round(carried.confidence, 3), "other": most.frame_id}
     message = (
-        f"the mask of {label} {entry.number} agrees to {agree:.0%} with what {views} other views show of it, most of it "
-        f"{most.frame_id} as object {most.number}"
+        f"the mask of {label} {entry.number} agrees to {agree:.0%} with what {views} other views show of it, most "
+        f"{most.frame_id}, as object {most.number}"
     )
     yield Finding("object/other-masks", RULES["object/other-masks"], frame.id, (entry.number,), message, figures)
