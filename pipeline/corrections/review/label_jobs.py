@@ -34,6 +34,7 @@ from pipeline.evaluation.comparing import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.leakage import scorer_share
 from pipeline.evaluation.run_folder import Run, open_run
+from pipeline.labels.check.other_masks import comparable
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.relations import shipped_network

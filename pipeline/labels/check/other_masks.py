@@ -23,7 +23,7 @@ from pipeline.labels.reading import Labels
 from pipeline.scenes.map_files import map_path, read_map
 from pipeline.scenes.propagation import LabelledObject, LabelledView, ProposedMask, propagate
 from pipeline.scenes.views import PosedView
-from pipeline.system.errors import FrameUnusable, InputError, require
+from pipeline.system.errors import InputError, require
 from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 
@@ -71,8 +71,7 @@ class OtherMasks:
         self.frames.append(MaskedFrame(view.id, view.size, own, tuple(view.labels[k] for k in known)))
 
     def findings(self) -> Iterator[Finding]:
-        """Find masks of the scene's frames that other frames contradict; InputError for a broken frame, or another's
-        size."""
+        """Find masks of the scene's frames that other frames contradict; InputError for pictures of another size."""
         frames, self.frames = self.frames, []
         if len(frames) <= LEAST_SOURCES:
             return
@@ -98,12 +97,12 @@ class OtherMasks:
         return {}
 
     def _view(self, frame: MaskedFrame, poses: Mapping[str, np.ndarray]) -> LabelledView | None:
-        """View of a frame; None without a pose."""
+        """View of a frame; None for a broken one, or one without a pose."""
 
         def made() -> LabelledView | None:
             try:
                 view = PosedView.of(load_picture(self.dataset, frame.id), poses.get(frame.id))
-            except FrameUnusable:
+            except InputError:
                 return None
             require(
                 view.size == frame.size,
@@ -129,6 +128,16 @@ def comparable(labels: Labels) -> bool:
     rows = zip(*(labels.objects.column(name).to_pylist() for name in ("frame", "instance")), strict=True)
     count = Counter((scenes.get(frame), instance) for frame, instance in rows if is_number(instance))
     return max(count.values(), default=0) > LEAST_SOURCES
+
+
+def check_comparable(labels: Labels) -> None:
+    """Raise InputError for labels without objects that are numbered alike in three frames of a scene."""
+    require(
+        comparable(labels),
+        "masks are compared by what three frames show of one object, and these labels number none so",
+        expected="labels of posed frames made with `label --map MAP`, after `map DATASET --out MAP`",
+        path=labels.root,
+    )
 
 
 def _compared(frame: MaskedFrame, entry: LabelledObject, label: str, carried: ProposedMask | None) -> Iterator[Finding]:
