@@ -217,7 +217,7 @@ def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, f
     weight = CONTRADICTED if found.severity == "error" else WARNED
     if group == "object":
         weight = ONE_OF_TWO if len(found.objects) > 1 and found.severity == "error" else weight
-        if found.rule == "object/other-views":
+        if found.rule in ("object/other-views", "object/other-places"):
             weight = CONTRADICTED * float(found.figures["views"]) / float(found.figures["of"])
         if found.rule == "object/other-masks":
             weight = min(MASK_DOUBTS * float(found.figures["doubt"]), CONTRADICTED)
