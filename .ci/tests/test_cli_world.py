@@ -40,3 +40,20 @@ def test_labels_know_the_objects_of_a_map(tmp_path: Path) -> None:
     assert '"instance": null' not in found
     spatialviz(0, "export", labels, "--format", "scene-graph", "--out", tmp_path / "graphs")
     assert (tmp_path / "graphs" / "graphs" / "000000.graphml").is_file()
+
+
+def test_masks_are_compared_where_it_is_asked_for(tmp_path: Path) -> None:
+    maps, labels = tmp_path / "maps", tmp_path / "labels"
+    spatialviz(0, "map", "demo", FRAME, "--out", maps)
+    spatialviz(0, "label", "demo", "--out", labels, "--map", maps, "--limit", 3)
+    rule = "object/other-masks"
+    assert rule not in spatialviz(0, "check", labels).out
+    (found,) = [f for f in spatialviz(0, "check", labels, "--masks", "--json").records if f.get("rule") == rule]
+    assert found["frame"].startswith("000001/")
+    assert found["figures"]["other"] in spatialviz(0, "check", labels, "--rules", rule).out
+    queue = ("review", labels, "--no-networks", "--kind", "object", "--find", rule)
+    assert rule in spatialviz(0, *queue, "--masks").out
+    spatialviz(1, *queue)
+    spatialviz(0, "label", "demo", "--out", tmp_path / "plain", "--limit", 3)
+    for command in (("check",), ("review", "--no-networks")):
+        assert "label --map MAP" in spatialviz(2, *command, tmp_path / "plain", "--masks").err

@@ -58,9 +58,9 @@ CONTRADICTED = 0.9
 """Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""
 ONE_OF_TWO = 0.5
 """Of two labels that cannot both be right; of n in a cycle each has 1 / n."""
-MASK_DOUBTS = 1.75
-"""Times the doubt of a mask that other views contradict: of planted errors and sound masks with one of .3 to .35 half
-were errors, with .4 and more nine of ten."""
+MASK_DOUBTS = 2.0
+"""Times the doubt of a mask that other views contradict: of planted errors and sound masks with one of .3 to .4 two of
+three were errors, with more 96 %."""
 WARNED = 0.2
 UNDECIDED = 0.5
 """Times how sure the networks are of a label that is U."""
