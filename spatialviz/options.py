@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from pipeline.system.detector_setup import DetectorSetup, with_files
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import InputError, require
 from pipeline.system.execution import Provider, ProviderWarning, use_execution
 from pipeline.system.frozen import dataclass
 from spatialviz.plain_text import one_line
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pipeline.answering.pipeline import Pipeline
     from pipeline.corrections.journal.journal import Journal
     from pipeline.datasets import Dataset
+    from pipeline.labels.check.other_masks import OtherMasks
     from pipeline.labels.plan import SourceSpec
     from pipeline.labels.reading import Labels
 
@@ -226,12 +227,11 @@ class DatasetOptions(CameraOptions):
             warn(f"without the dataset ({error}); --dataset says where it is")
             return None
 
-    def compared(self, labels: Labels) -> Dataset:
-        """Labelled dataset, whose masks are compared from view to view; InputError for labels that cannot be."""
-        from pipeline.labels.check.other_masks import check_comparable
+    def masks(self, labels: Labels) -> OtherMasks:
+        """Comparison of the labels' masks from view to view; InputError where there can be none."""
+        from pipeline.labels.check.other_masks import other_masks
 
-        check_comparable(labels)
-        return needed(self.open(labels), "masks are compared by the pictures' depth: the dataset is needed")
+        return other_masks(labels, self.open(labels))
 
 
 OpenDatasetArg = OmitArgPrefixes[Annotated[DatasetOptions, arg(help=DatasetOptions.__doc__)]]

@@ -8,6 +8,7 @@ import pytest
 from damaged_labels import Tables, copied, damage
 
 from pipeline.answering.pipeline import open_pipeline
+from pipeline.corrections.review.label_jobs import QueueJob, make_queue
 from pipeline.corrections.review.queue import review_queue
 from pipeline.datasets import Dataset, demo_path, open_dataset
 from pipeline.datasets.base import ChangedFrames
@@ -15,11 +16,12 @@ from pipeline.geometry import Frame
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.labels import LabelConfig, Labels, SourceSpec, check_labels, label_dataset, open_labels
 from pipeline.labels.check import Finding
-from pipeline.labels.check.other_masks import check_comparable
+from pipeline.labels.check.other_masks import other_masks
 from pipeline.scenes.map_files import save_map
 from pipeline.scenes.object_map import map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.system import InputError
+from pipeline.system.arrow import pa
 
 FRAME, LAPTOP = "000001/000000", 2
 RULE = "object/other-masks"
@@ -56,8 +58,9 @@ def shifted(labels: Labels, tmp_path_factory: pytest.TempPathFactory) -> Labels:
     return open_labels(root)
 
 
-def found(labels: Labels, dataset: Dataset | None) -> dict[tuple[str | None, int], Finding]:
-    return {(f.frame, f.objects[0]): f for f in check_labels(labels, rules=[RULE], dataset=dataset)}
+def found(labels: Labels, dataset: Dataset) -> dict[tuple[str | None, int], Finding]:
+    findings = check_labels(labels, rules=[RULE], masks=other_masks(labels, dataset))
+    return {(f.frame, f.objects[0]): f for f in findings}
 
 
 def test_a_shifted_mask_is_found_with_the_frame_that_shows_it_otherwise(
@@ -71,18 +74,27 @@ def test_a_shifted_mask_is_found_with_the_frame_that_shows_it_otherwise(
     assert finding.figures["other"] in posed_frames(demo, FRAME)[1:]
     assert str(finding.figures["other"]) in finding.message
     assert finding.figures["views"] == 2
-    assert not found(shifted, None), "there is nothing to compare with without pictures"
+    assert not list(check_labels(shifted, rules=[RULE])), "there is nothing to compare with without pictures"
+
+
+def place_of(queue: pa.Table, frame: str, number: int) -> int:
+    """Place of an object in a queue, or its end."""
+    items = zip(*(queue.column(name).to_pylist() for name in ("kind", "frame", "a")), strict=True)
+    return next((k for k, item in enumerate(items) if item == ("object", frame, number)), len(queue))
 
 
 def test_the_review_queue_begins_with_it(shifted: Labels, demo: Dataset) -> None:
-    with_masks, without = (review_queue(shifted, dataset=dataset).to_pylist() for dataset in (demo, None))
-    places = [
-        [k for k, r in enumerate(rows) if (r["kind"], r["frame"], r["a"]) == ("object", FRAME, LAPTOP)]
-        for rows in (with_masks, without)
-    ]
-    assert places[0] < [10]
-    assert not places[1] or places[1] > places[0]
-    assert any(reason.startswith(RULE) for reason in with_masks[places[0][0]]["reasons"])
+    queue, without = review_queue(shifted, masks=other_masks(shifted, demo)), review_queue(shifted)
+    place = place_of(queue, FRAME, LAPTOP)
+    assert place < min(10, place_of(without, FRAME, LAPTOP))
+    assert any(reason.startswith(RULE) for reason in queue.column("reasons")[place].as_py())
+
+
+def test_the_queue_of_a_page_compares_masks_where_it_can(shifted: Labels) -> None:
+    queue, _ = make_queue(QueueJob(shifted.root, networks=False), lambda step: None)
+    assert any(reason.startswith(RULE) for reasons in queue.column("reasons").to_pylist() for reason in reasons)
+    queue, _ = make_queue(QueueJob(shifted.root, dataset="/no/such", networks=False), lambda step: None)
+    assert not any(reason.startswith(RULE) for reasons in queue.column("reasons").to_pylist() for reason in reasons)
 
 
 class Astray(ChangedFrames):
@@ -102,17 +114,16 @@ def test_the_poses_are_those_of_the_map(shifted: Labels, demo: Dataset) -> None:
 
 
 def test_labels_say_what_a_comparison_needs(labels: Labels, demo: Dataset, tmp_path: Path) -> None:
-    check_comparable(labels)
-
     def unnumbered(tables: Tables) -> None:
         for row in tables["objects"]:
             row["instance"] = None
 
     root = copied(labels.root, tmp_path / "labels")
     damage(root, unnumbered)
-    assert not found(open_labels(root), demo)
     with pytest.raises(InputError, match="label --map MAP"):
-        check_comparable(open_labels(root))
+        other_masks(open_labels(root), demo)
+    with pytest.raises(InputError, match="dataset is needed"):
+        other_masks(labels, None)
 
 
 class Larger(ChangedFrames):

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.system.arrow import pa
 from pipeline.system.frozen import dataclass
 from pipeline.training.label_data import LabelledFrame, read_label_data, rows_of_frame
+
+if TYPE_CHECKING:
+    from pipeline.labels.check.other_masks import OtherMasks
 
 _TEXT, _NUMBER, _REAL = pa.string(), pa.int32(), pa.float64()
 QUEUE_COLUMNS = {
@@ -77,14 +80,14 @@ def review_queue(
     doubts: DoubtConfig | None = None,
     *,
     judgements: Judgements | None = None,
-    dataset: Dataset | None = None,
+    masks: OtherMasks | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
     """Rank labels by the probability of an error, the worst first.
 
     `doubts`: of the networks that are asked; None: without. `judgements`: what people said of these labels, which are
     effective ones then: see `reviewed_labels`. What is settled has no evidence against it, and stands last, with a
-    score of 0. `dataset`: see `check_labels`.
+    score of 0. `masks`: see `check_labels`.
 
     Returns one row an item: frame (string), frame_index (int32), kind ("relation", "object", "expression"), a, b
     (int32, numbers of objects; b null for objects), relation, expression (its id), place, label (T, U or F; the class
@@ -115,7 +118,7 @@ def review_queue(
         wrong[settled] = np.nan
         network_evidence(evidence, probability, wrong)
         metadata["estimated_wrong"] = f"{sum(n.wrong for n in asked.noise.values()):.0f}"
-    evidence.of_items(blamed_by_linter(check_labels(labels, dataset=dataset), cells.relations))
+    evidence.of_items(blamed_by_linter(check_labels(labels, masks=masks), cells.relations))
     margin_evidence(evidence)
     undecided_evidence(evidence, probability)
     if judgements is not None:

@@ -11,11 +11,10 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.datasets.base import Dataset
 from pipeline.datasets.settings import ASSUMED
 from pipeline.datasets.up import OFF_SCENE
 from pipeline.labels.check.expressions import TEXTS_KEPT, check_expressions, triple_of
@@ -27,7 +26,6 @@ from pipeline.labels.check.objects import (
     check_sizes,
     rotation_fault,
 )
-from pipeline.labels.check.other_masks import other_masks
 from pipeline.labels.check.other_views import OtherViews
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.stream import Rows, column_arrays, frame_rows, no_rows
@@ -41,6 +39,9 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, as_input_error, first_line
 from pipeline.system.whole_files import sha256_of
 
+if TYPE_CHECKING:
+    from pipeline.labels.check.other_masks import OtherMasks
+
 OF_ANSWERS = (
     "expression/empty",
     "expression/sets",
@@ -53,7 +54,7 @@ OF_ANSWERS = (
 
 
 def check_labels(
-    labels: Labels, *, rules: Sequence[str] | None = None, dataset: Dataset | None = None
+    labels: Labels, *, rules: Sequence[str] | None = None, masks: OtherMasks | None = None
 ) -> Iterator[Finding]:
     """Check labels, even damaged or edited.
 
@@ -62,14 +63,13 @@ def check_labels(
     The tables are read twice: first as files, with class names and sizes of the objects; then frame by frame. Memory
     grows with classes, not with frames.
 
-    `rules`: names of rules or of groups ("relation"); all by default. `dataset`: the labels' own, whose colour and
-    depth carry masks from view to view; without it masks are not compared. Yields first of whole files, then frame by
-    frame.
+    `rules`: names of rules or of groups ("relation"); all by default. `masks`: a new comparison of the labels' masks,
+    see `other_masks`; without it they are not compared. Yields first of whole files, then frame by frame.
 
     Raises InputError: a rule has no such name; before anything is read.
     """
     chosen, by_people = chosen_rules(rules), set_by_people(labels.root)
-    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen, dataset)
+    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen, masks)
     return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
 
 
@@ -99,7 +99,7 @@ def _settled(finding: Finding, by_people: set[tuple[Any, ...]]) -> bool:
 
 
 def _all_findings(
-    labels: Labels, groups: frozenset[str], chosen: frozenset[str], dataset: Dataset | None
+    labels: Labels, groups: frozenset[str], chosen: frozenset[str], masks: OtherMasks | None
 ) -> Iterator[Finding]:
     manifest, profile = labels.manifest, str(labels.manifest.profile.get("name"))
     class_names: set[str] = set()
@@ -129,7 +129,7 @@ def _all_findings(
     read = lru_cache(TEXTS_KEPT)(partial(triple_of, tuple(sorted(class_names))))
     scenes: dict[str, list[tuple[str | None, np.ndarray]]] = {}
     others = OtherViews()
-    masks = None if dataset is None or "object/other-masks" not in chosen else other_masks(labels, dataset)
+    masks = masks if "object/other-masks" in chosen else None
     sound = (frame_rows(labels, name, checked="row" in groups) for name in TABLES if name not in lost)
     for index, tables in by_frame(*sound):
         view = FrameView(index, {name: tables.get(name) or no_rows(name) for name in TABLES}, background, relations)

@@ -23,7 +23,7 @@ from pipeline.labels.reading import Labels
 from pipeline.scenes.map_files import map_path, read_map
 from pipeline.scenes.propagation import LabelledObject, LabelledView, ProposedMask, propagate
 from pipeline.scenes.views import PosedView
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.frozen import dataclass
 from pipeline.system.recent import Recent
 
@@ -116,8 +116,18 @@ class OtherMasks:
         return self.views.get(frame.id, made)
 
 
-def other_masks(labels: Labels, dataset: Dataset) -> OtherMasks:
-    """Start a comparison of the masks of labels, under the poses of the map that they were made with."""
+def other_masks(labels: Labels, dataset: Dataset | None) -> OtherMasks:
+    """Start a comparison of the masks of labels, for one check, under the poses of the map that they were made with.
+
+    InputError without the dataset, or for labels without objects that are numbered alike in three frames of a scene.
+    """
+    require(
+        comparable(labels),
+        "masks are compared by what three frames show of one object, and these labels number none so",
+        expected="labels of posed frames made with `label --map MAP`, after `map DATASET --out MAP`",
+        path=labels.root,
+    )
+    dataset = needed(dataset, "masks are compared by the pictures' depth: the dataset is needed")
     maps = labels.manifest.config.get("map")
     return OtherMasks(dataset, Path(str(maps)) if maps else None)
 
@@ -128,16 +138,6 @@ def comparable(labels: Labels) -> bool:
     rows = zip(*(labels.objects.column(name).to_pylist() for name in ("frame", "instance")), strict=True)
     count = Counter((scenes.get(frame), instance) for frame, instance in rows if is_number(instance))
     return max(count.values(), default=0) > LEAST_SOURCES
-
-
-def check_comparable(labels: Labels) -> None:
-    """Raise InputError for labels without objects that are numbered alike in three frames of a scene."""
-    require(
-        comparable(labels),
-        "masks are compared by what three frames show of one object, and these labels number none so",
-        expected="labels of posed frames made with `label --map MAP`, after `map DATASET --out MAP`",
-        path=labels.root,
-    )
 
 
 def _compared(frame: MaskedFrame, entry: LabelledObject, label: str, carried: ProposedMask | None) -> Iterator[Finding]:
