@@ -13,6 +13,7 @@ from spatialviz.options import (
     CPUS,
     Box,
     DatasetArg,
+    DatasetOptions,
     Flag,
     FrameArg,
     JournalArg,
@@ -26,6 +27,7 @@ from spatialviz.options import (
     OnJournal,
     OnLabels,
     OnPictures,
+    OpenDatasetArg,
     Output,
     Overwrite,
     ProposalOptions,
@@ -137,6 +139,9 @@ class CheckCommand(OnLabels):
     """Folder for statistics as pictures and a page."""
     rules: tuple[str, ...] = ()
     """Only these rules, or groups of them such as "expression"."""
+    masks: Flag = False
+    """Compare each mask with what other views show of the object: needs the dataset's pictures, and `label --map`."""
+    source: OpenDatasetArg = DatasetOptions()
     show: int = 20
     """Findings shown of each rule."""
 
@@ -368,3 +373,5 @@ class ReviewCommand(OnPictures):
     """Only items whose label, reasons or frame hold each of these words."""
     networks: bool = True
     """Ask networks that have not learnt from a label (confident learning); that takes the most time."""
+    masks: Flag = False
+    """Compare each mask with what other views of the object show, as `check --masks` does."""

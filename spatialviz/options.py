@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pipeline.answering.pipeline import Pipeline
     from pipeline.corrections.journal.journal import Journal
     from pipeline.datasets import Dataset
+    from pipeline.labels.check.other_masks import OtherMasks
     from pipeline.labels.plan import SourceSpec
     from pipeline.labels.reading import Labels
 
@@ -225,6 +226,12 @@ class DatasetOptions(CameraOptions):
                 raise
             warn(f"without the dataset ({error}); --dataset says where it is")
             return None
+
+    def masks(self, labels: Labels) -> OtherMasks:
+        """Comparison of the labels' masks from view to view; InputError where there can be none."""
+        from pipeline.labels.check.other_masks import other_masks
+
+        return other_masks(labels, self.open(labels))
 
 
 OpenDatasetArg = OmitArgPrefixes[Annotated[DatasetOptions, arg(help=DatasetOptions.__doc__)]]

@@ -34,7 +34,9 @@ def run_check(command: CheckCommand) -> int:
     except InputError as error:
         # A damaged table is first of all a finding.
         problem = error
-    found = check_labels(labels, rules=command.rules or None)
+    compared = command.masks or "object/other-masks" in command.rules
+    masks = command.source.masks(labels) if compared else None
+    found = check_labels(labels, rules=command.rules or None, masks=masks)
     errors = 0
     for finding in found if command.json else ():
         errors += finding.severity == "error"

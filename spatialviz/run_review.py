@@ -93,6 +93,7 @@ def _made(command: ReviewCommand, labels: Labels, judgements: Judgements) -> Wor
             labels,
             DoubtConfig() if networks else None,
             judgements=judgements,
+            masks=command.source.masks(labels) if command.masks else None,
             progress=lambda done, of: advance("networks", done, of),
         )
     return worklist(queue, states_on_labels(judgements, read_relation_labels(labels)))

@@ -71,3 +71,20 @@ def test_what_a_frame_does_not_show_is_not_the_detectors_fault(tmp_path: Path) -
         "no object map"
         in spatialviz(2, "eval", "demo", "--labels", labels, "--out", tmp_path / "none", "--map", tmp_path).err
     )
+
+
+def test_masks_are_compared_where_it_is_asked_for(tmp_path: Path) -> None:
+    maps, labels = tmp_path / "maps", tmp_path / "labels"
+    spatialviz(0, "map", "demo", FRAME, "--out", maps)
+    spatialviz(0, "label", "demo", "--out", labels, "--map", maps, "--limit", 3)
+    rule = "object/other-masks"
+    assert rule not in spatialviz(0, "check", labels).out
+    (found,) = [f for f in spatialviz(0, "check", labels, "--masks", "--json").records if f.get("rule") == rule]
+    assert found["frame"].startswith("000001/")
+    assert found["figures"]["other"] in spatialviz(0, "check", labels, "--rules", rule).out
+    queue = ("review", labels, "--no-networks", "--kind", "object", "--find", rule)
+    assert rule in spatialviz(0, *queue, "--masks").out
+    spatialviz(1, *queue)
+    spatialviz(0, "label", "demo", "--out", tmp_path / "plain", "--limit", 3)
+    for command in (("check",), ("review", "--no-networks")):
+        assert "label --map MAP" in spatialviz(2, *command, tmp_path / "plain", "--masks").err

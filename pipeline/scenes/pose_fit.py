@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.datasets.base import Dataset, load_picture, load_pose
 from pipeline.scenes.poses import (
     ALL_PAIRS,
+    LEAST_AGREE,
     NEAR,
     PoseAgreement,
     Refinement,
@@ -19,6 +20,7 @@ from pipeline.scenes.poses import (
     misfits,
     partners,
     refine,
+    typical_fits,
 )
 from pipeline.scenes.views import PosedView
 from pipeline.system.errors import FrameUnusable, needed
@@ -79,10 +81,11 @@ class SceneViews:
 
 def bad_poses(agreements: Sequence[PoseAgreement]) -> dict[str, str]:
     """Reasons, by frame, to leave out the frames whose pose does not fit the others."""
-    best = fits(agreements)
-    least = misfits(list(best.values()))
-    return {
-        i: f"its pose does not fit: {agree:.2f} of what other frames see too agrees, usual is {least:.2f} and more"
-        for i, agree in best.items()
-        if agree < least
-    }
+    reasons: dict[str, str] = {}
+    for judged, least in ((typical_fits(agreements), 0.0), (fits(agreements), LEAST_AGREE)):
+        usual = misfits(list(judged.values()), least)
+        for i, agree in judged.items():
+            if agree < usual:
+                what = f"{agree:.2f} of what other frames see too agrees, usual is {usual:.2f} and more"
+                reasons[i] = f"its pose does not fit: {what}"
+    return reasons

@@ -36,6 +36,9 @@ look alike."""
 DEVIATIONS, LEAST_BELOW, MORE_THROUGH, LEAST_AGREE = 4.0, 0.03, 0.5, 0.5
 """A view does not fit whose best agreement lies so many median absolute deviations below the recording's median, and at
 least so much, and has so many more points looked through than is usual; or where fewer than the last match."""
+LEAST_PAIRS = 4
+"""Of a view that shares enough with so many others its typical agreement is judged, too: a wrong pose fits one of many
+by chance."""
 
 
 @dataclass(frozen=True)
@@ -192,12 +195,28 @@ def fits(found: Sequence[PoseAgreement]) -> dict[str, float]:
     return best
 
 
-def misfits(best: Sequence[float] | np.ndarray) -> float:
+def typical_fits(found: Sequence[PoseAgreement]) -> dict[str, float]:
+    """Median agreement of each view with others, by frame, weighted by what they share; not of views with few pairs."""
+    pairs: dict[str, list[tuple[float, float]]] = {}
+    for pair in found:
+        if pair.agree is not None:
+            for frame_id in (pair.one, pair.other):
+                pairs.setdefault(frame_id, []).append((pair.agree, pair.shared))
+    out = {}
+    for frame_id, own in pairs.items():
+        if len(own) >= LEAST_PAIRS:
+            agree, shared = np.array(sorted(own)).T
+            weight = np.cumsum(shared)
+            out[frame_id] = float(agree[np.searchsorted(weight, weight[-1] / 2)])
+    return out
+
+
+def misfits(values: Sequence[float] | np.ndarray, least: float = LEAST_AGREE) -> float:
     """Agreement below which a view does not fit, by what is usual in the recording: sensors and scenes differ."""
-    values = np.asarray(best, float)
+    values = np.asarray(values, float)
     if not len(values):
         return 0.0
     middle = float(np.median(values))
     spread = float(np.median(np.abs(values - middle)))
     below = max(DEVIATIONS * spread, LEAST_BELOW, MORE_THROUGH * (1 - middle))
-    return max(middle - below, LEAST_AGREE)
+    return max(middle - below, least)

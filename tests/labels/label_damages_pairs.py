@@ -265,6 +265,17 @@ def another_view_calls_it_another_class(t: Tables) -> set[Where]:
     return {("room/0", (1,)), ("room/1", (0,))}
 
 
+@damages("object/other-places", "warning")
+def another_object_has_the_number(t: Tables) -> set[Where]:
+    for row in t["frames"]:
+        row["T_world_camera"] = [float(i == j) for i in range(4) for j in range(4)]
+    for frame, number, x in (("room/0", 1, 0.0), ("room/1", 1, 0.0), ("room/2", 2, 1.5)):
+        row = item(t, frame, number)
+        put(row, instance=7, center=[x, 0.0, 2.0])
+        row["label"] = "mug"
+    return {("room/2", (2,))}
+
+
 @damages("relation/other-views", "warning")
 def another_view_shows_it_beside_and_not_above(t: Tables) -> set[Where]:
     for frame, mug, table in (("room/0", 1, 0), ("room/2", 2, 0)):

@@ -10,7 +10,8 @@ from posed_worlds import SCENE, demo
 
 from pipeline.datasets import demo_path, open_dataset
 from pipeline.scenes.object_map import map_scene
-from pipeline.scenes.poses import NEAR, agreement, misfits, partners, refine
+from pipeline.scenes.pose_fit import bad_poses
+from pipeline.scenes.poses import NEAR, PoseAgreement, agreement, misfits, partners, refine
 from pipeline.scenes.views import posed_frames, views_of
 from pipeline.system.errors import FrameUnusable
 
@@ -62,6 +63,22 @@ def test_what_fits_is_told_by_what_is_usual_in_the_recording() -> None:
     assert 0.85 < misfits([0.94, 0.93, 0.95, 0.7]) < 0.93
     assert misfits([0.77, 0.7, 0.8, 0.75, 0.9]) < 0.7
     assert misfits([]) == 0.0
+
+
+def pair(one: int, other: int, agree: float, shared: float = 0.5) -> PoseAgreement:
+    return PoseAgreement(str(one), str(other), round(1000 * agree), round(1000 * (1 - agree)), shared, 0.01)
+
+
+def test_a_view_that_fits_one_other_by_chance_does_not_fit() -> None:
+    good = [pair(i, j, 0.75 + 0.01 * i) for i, j in combinations(range(6), 2)]
+    astray = [pair(i, 6, 0.8 if i == 2 else 0.4) for i in range(6)]
+    assert bad_poses(good) == {}
+    assert list(bad_poses([*good, *astray])) == ["6"]
+    # The chance fit of a view with a few others is all that there is to judge by.
+    assert bad_poses([*good, *astray[1:4]]) == {}
+    # Of views that share much and fit, and others that share little and do not, the former decide.
+    little = [pair(i, 6, 0.8 if i < 3 else 0.2, 0.9 if i < 3 else 0.1) for i in range(6)]
+    assert bad_poses([*good, *little]) == {}
 
 
 def test_frames_without_poses_are_refused_in_a_line_that_says_what_is_needed() -> None:

@@ -8,6 +8,7 @@ before, and a run is made again with the mended labels, once with its own relati
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import field, replace
 from pathlib import Path
 from time import perf_counter
@@ -34,6 +35,7 @@ from pipeline.evaluation.comparing import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.leakage import scorer_share
 from pipeline.evaluation.run_folder import Run, open_run
+from pipeline.labels.check.other_masks import OtherMasks, other_masks
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.relations import shipped_network
@@ -94,12 +96,20 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> tuple[pa.Table,
             reviewed,
             DoubtConfig() if job.networks else None,
             judgements=judgements,
+            masks=_masks(job, reviewed),
             progress=lambda done, of: report(("networks", done, of)),
         )
         states = states_on_labels(judgements, read_relation_labels(reviewed))
     queue = by_frame(queue)
     found = [states.get(key, "unreviewed") for key in item_keys(queue)]
     return queue.append_column("state", pa.array(found, pa.string())), last
+
+
+def _masks(job: QueueJob, labels: Labels) -> OtherMasks | None:
+    """Comparison of the masks; None where the labels or the dataset allow none."""
+    with suppress(InputError):
+        return other_masks(labels, job.corrected_dataset(labels))
+    return None
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[tuple[Labels, Judgements], Mark]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.system.arrow import pa
 from pipeline.system.frozen import dataclass
 from pipeline.training.label_data import LabelledFrame, read_label_data, rows_of_frame
+
+if TYPE_CHECKING:
+    from pipeline.labels.check.other_masks import OtherMasks
 
 _TEXT, _NUMBER, _REAL = pa.string(), pa.int32(), pa.float64()
 QUEUE_COLUMNS = {
@@ -58,6 +61,9 @@ CONTRADICTED = 0.9
 """Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""
 ONE_OF_TWO = 0.5
 """Of two labels that cannot both be right; of n in a cycle each has 1 / n."""
+MASK_DOUBTS = 2.0
+"""Times the doubt of a mask that other views contradict: of planted errors and sound masks with one of .3 to .4 two of
+three were errors, with more 96 %."""
 WARNED = 0.2
 UNDECIDED = 0.5
 """Times how sure the networks are of a label that is U."""
@@ -74,13 +80,14 @@ def review_queue(
     doubts: DoubtConfig | None = None,
     *,
     judgements: Judgements | None = None,
+    masks: OtherMasks | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
     """Rank labels by the probability of an error, the worst first.
 
     `doubts`: of the networks that are asked; None: without. `judgements`: what people said of these labels, which are
     effective ones then: see `reviewed_labels`. What is settled has no evidence against it, and stands last, with a
-    score of 0.
+    score of 0. `masks`: see `check_labels`.
 
     Returns one row an item: frame (string), frame_index (int32), kind ("relation", "object", "expression"), a, b
     (int32, numbers of objects; b null for objects), relation, expression (its id), place, label (T, U or F; the class
@@ -111,7 +118,7 @@ def review_queue(
         wrong[settled] = np.nan
         network_evidence(evidence, probability, wrong)
         metadata["estimated_wrong"] = f"{sum(n.wrong for n in asked.noise.values()):.0f}"
-    evidence.of_items(blamed_by_linter(check_labels(labels), cells.relations))
+    evidence.of_items(blamed_by_linter(check_labels(labels, masks=masks), cells.relations))
     margin_evidence(evidence)
     undecided_evidence(evidence, probability)
     if judgements is not None:
@@ -213,8 +220,10 @@ def _blamed(found: Finding, relations: Collection[str]) -> list[tuple[ItemKey, f
     weight = CONTRADICTED if found.severity == "error" else WARNED
     if group == "object":
         weight = ONE_OF_TWO if len(found.objects) > 1 and found.severity == "error" else weight
-        if found.rule == "object/other-views":
+        if found.rule in ("object/other-views", "object/other-places"):
             weight = CONTRADICTED * float(found.figures["views"]) / float(found.figures["of"])
+        if found.rule == "object/other-masks":
+            weight = min(MASK_DOUBTS * float(found.figures["doubt"]), CONTRADICTED)
         return [(ItemKey(frame, group, n, None, ""), weight) for n in found.objects]
     if group != "expression" or not found.objects:
         return []

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, as_input_error, first_line
 from pipeline.system.whole_files import sha256_of
 
+if TYPE_CHECKING:
+    from pipeline.labels.check.other_masks import OtherMasks
+
 OF_ANSWERS = (
     "expression/empty",
     "expression/sets",
@@ -50,7 +53,9 @@ OF_ANSWERS = (
 """Rules on what an expression says and is true of, which a person may settle."""
 
 
-def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Iterator[Finding]:
+def check_labels(
+    labels: Labels, *, rules: Sequence[str] | None = None, masks: OtherMasks | None = None
+) -> Iterator[Finding]:
     """Check labels, even damaged or edited.
 
     What people set in corrected labels is not held against the rules.
@@ -58,12 +63,13 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     The tables are read twice: first as files, with class names and sizes of the objects; then frame by frame. Memory
     grows with classes, not with frames.
 
-    `rules`: names of rules or of groups ("relation"); all by default. Yields first of whole files, then frame by frame.
+    `rules`: names of rules or of groups ("relation"); all by default. `masks`: a new comparison of the labels' masks,
+    see `other_masks`; without it they are not compared. Yields first of whole files, then frame by frame.
 
     Raises InputError: a rule has no such name; before anything is read.
     """
     chosen, by_people = chosen_rules(rules), set_by_people(labels.root)
-    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen)
+    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen, masks)
     return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
 
 
@@ -92,7 +98,9 @@ def _settled(finding: Finding, by_people: set[tuple[Any, ...]]) -> bool:
     return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people
 
 
-def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
+def _all_findings(
+    labels: Labels, groups: frozenset[str], chosen: frozenset[str], masks: OtherMasks | None
+) -> Iterator[Finding]:
     manifest, profile = labels.manifest, str(labels.manifest.profile.get("name"))
     class_names: set[str] = set()
     survey = SizeSurvey()
@@ -121,11 +129,14 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     read = lru_cache(TEXTS_KEPT)(partial(triple_of, tuple(sorted(class_names))))
     scenes: dict[str, list[tuple[str | None, np.ndarray]]] = {}
     others = OtherViews()
+    masks = masks if "object/other-masks" in chosen else None
     sound = (frame_rows(labels, name, checked="row" in groups) for name in TABLES if name not in lost)
     for index, tables in by_frame(*sound):
         view = FrameView(index, {name: tables.get(name) or no_rows(name) for name in TABLES}, background, relations)
         if groups & {"object", "relation"}:
             others.add(view)
+        if masks is not None:
+            yield from masks.add(view)
         if groups & {"row", "frame", "object"}:
             yield from check_rows(view)
         if "frame" in groups:
@@ -145,6 +156,8 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
             yield from check_expressions(view, read)
     yield from check_scenes(scenes)
     yield from others.findings()
+    if masks is not None:
+        yield from masks.findings()
 
 
 DISAGREE_DEG = 10.0

@@ -1,8 +1,8 @@
 """Rules on one object in several views: what does not change with the viewpoint, and does in the labels.
 
-Objects are the same where their `instance` is. Their class is the same in all views; above, below, on, in and near hold
-in every view in which both objects are well seen. Left, right, in front and behind change with the view, as they
-should. Of each pair of objects only the strongest views are kept, so that memory grows with a scene's objects.
+Objects are the same where their `instance` is. Their class and place are the same in all views; above, below, on, in
+and near hold in every view in which both objects are well seen. Left, right, in front and behind change with the view,
+as they should. Of each pair of objects only the strongest views are kept, so that memory grows with a scene's objects.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
+from pipeline.geometry.camera import to_world
 from pipeline.labels.check.view import RULES, Figure, Finding, FrameView
 from pipeline.language.noun_phrase import same_names
 from pipeline.relations.relations import F, T
@@ -24,7 +25,10 @@ LEAST_MARGIN_M = 0.05
 MOST_OCCLUDED = 0.25
 """An object is well seen with a smaller share of its border occluded, and away from the picture's border."""
 MOST_NAMED = 20
-"""Frames that are kept of each class name of an object."""
+"""Frames that are kept of each class name of an object, and of each place."""
+APART_SHARE, APART_M = 0.75, 0.1
+"""Two views place an object apart whose centres are farther from each other than this share of its longest side and so
+many metres: each sees another side of it. In clean labels no object has most of its views so far from one of them."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,21 @@ class SurestState:
 
 
 @dataclass
+class Place:
+    """A place of an object in the world, and the views that show it there."""
+
+    center: np.ndarray  # (3,), mean of the views', world, metres
+    longest: float  # Side of their boxes, metres
+    views: int = 0
+    seen: list[tuple[str | None, int, str]] = field(default_factory=list)  # Frame, number and class there
+
+    def holds(self, center: np.ndarray, longest: float) -> bool:
+        """Tell a view of an object at this place."""
+        apart = float(np.linalg.norm(self.center - center))
+        return apart <= APART_SHARE * max(self.longest, longest) + APART_M
+
+
+@dataclass
 class OtherViews:
     """Objects with an instance as frames come in; `findings` after the last."""
 
@@ -47,11 +66,12 @@ class OtherViews:
     counts: defaultdict[tuple[str, int, str], int] = field(default_factory=lambda: defaultdict(int))
     states: dict[tuple[str, int, int, str], dict[int, SurestState]] = field(default_factory=dict)
     """By scene, instances and relation: the surest sighting of T and of F."""
+    places: dict[tuple[str, int], list[Place]] = field(default_factory=dict)
 
     def add(self, view: FrameView) -> None:
         """Take the objects and relations of a frame in."""
         instances = view.objects["instance"]
-        known = [k for k in range(len(view.ids)) if _is_number(instances[k])]
+        known = [k for k in range(len(view.ids)) if is_number(instances[k])]
         if not view.usable or not known:
             return
         scene = str(view.tables["frames"]["scene"][0])
@@ -60,6 +80,7 @@ class OtherViews:
             self.counts[scene, int(instances[k]), view.labels[k]] += 1
             if len(named) < MOST_NAMED:
                 named.append((view.id, int(view.ids[k])))
+        self._place(scene, view, known)
         well = ~view.objects["touches_border"].astype(bool) & (view.objects["occluded"] < MOST_OCCLUDED)
         chosen = np.array([k for k in known if well[k]], np.int64)
         for relation in SAME_IN_ALL_VIEWS if len(chosen) > 1 else ():
@@ -71,6 +92,23 @@ class OtherViews:
                 i, j = int(chosen[a]), int(chosen[b])
                 if instances[i] != instances[j]:
                     self._keep(scene, relation, view, i, j, int(states[i, j]), float(margins[i, j]))
+
+    def _place(self, scene: str, view: FrameView, known: list[int]) -> None:
+        pose = view.tables["frames"]["T_world_camera"][0].reshape(4, 4)
+        centers, longest = to_world(view.objects["center"], pose), view.objects["size"].max(axis=1)
+        for k in known:
+            if not np.isfinite([*centers[k], longest[k]]).all():
+                continue
+            places = self.places.setdefault((scene, int(view.objects["instance"][k])), [])
+            place = next((p for p in places if p.holds(centers[k], longest[k])), None)
+            if place is None:
+                place = Place(centers[k], float(longest[k]))
+                places.append(place)
+            place.views += 1
+            place.center = place.center + (centers[k] - place.center) / place.views
+            place.longest = max(place.longest, float(longest[k]))
+            if len(place.seen) < MOST_NAMED:
+                place.seen.append((view.id, int(view.ids[k]), view.labels[k]))
 
     def _keep(self, scene: str, relation: str, view: FrameView, i: int, j: int, state: int, margin: float) -> None:
         instances = view.objects["instance"]
@@ -84,9 +122,11 @@ class OtherViews:
         found[state] = SurestState(views, margin, view.id, *numbers, view.relation_text(i, relation, j))
 
     def findings(self) -> Iterator[Finding]:
-        """Find class names and relations that other views contradict."""
+        """Find class names, places and relations that other views contradict."""
         for (scene, instance), named in self.names.items():
             yield from self._names(scene, instance, named)
+        for places in self.places.values():
+            yield from _misplaced(places)
         for (_, _, _, relation), found in self.states.items():
             if T in found and F in found:
                 yield from _contradiction(relation, found[T], found[F])
@@ -114,6 +154,27 @@ class OtherViews:
                 )
 
 
+def _misplaced(places: list[Place]) -> Iterator[Finding]:
+    """Find views of an object that most other views place elsewhere, of three or more."""
+    most, others = max(places, key=lambda p: p.views), sum(p.views for p in places) - 1
+    for place in places if others > 1 and 2 * most.views > others else ():
+        if most.holds(place.center, place.longest):
+            continue
+        apart = float(np.linalg.norm(place.center - most.center))
+        figures: dict[str, Figure] = {"apart": round(apart, 3), "views": most.views, "of": others}
+        figures |= {} if most.seen[0][0] is None else {"other": most.seen[0][0]}
+        for frame, number, label in place.seen:
+            yield Finding(
+                "object/other-places",
+                RULES["object/other-places"],
+                frame,
+                (number,),
+                f"{label} {number} is {apart:.2f} m from where {most.views} of {others} other views place this object, "
+                f"such as {most.seen[0][0]}: it is another one, or was moved",
+                figures,
+            )
+
+
 def _contradiction(relation: str, holds: SurestState, holds_not: SurestState) -> Iterator[Finding]:
     """Find the state that fewer views have, or both where as many have either; each names the other's frame."""
     for own, other in ((holds, holds_not), (holds_not, holds)):
@@ -134,5 +195,6 @@ def _contradiction(relation: str, holds: SurestState, holds_not: SurestState) ->
         )
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Tell an instance from none."""
     return value is not None and value == value and int(value) >= 0  # pyright: ignore[reportArgumentType]

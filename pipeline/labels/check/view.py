@@ -308,6 +308,10 @@ RULES: dict[str, Severity] = {
     "object/implausible-size": "error",
     # Most other views of the same object call it another class.
     "object/other-views": "warning",
+    # Most other views of the same object place it elsewhere.
+    "object/other-places": "warning",
+    # Its mask is not what other views of the same object show there; compared where the pictures are given.
+    "object/other-masks": "warning",
     # A is left of b, and b is not right of a; so for above and below, front and behind.
     "relation/inverse": "error",
     # A relation holds both ways (on and in, where geometry allows it: warning).
