@@ -71,12 +71,15 @@ class CompletedBox:
         Sides that are estimated: they lie farther out than the seen ones.
     interval : dict of Side to (float, float)
         10 to 90 % interval of where each side that is not measured lies, metres outwards from the seen one.
+    views : int
+        So many views tell of it; what none of them sees is the network's.
     """
 
     box: Box3D
     seen: Box3D
     completed: tuple[Side, ...] = ()
     interval: Mapping[Side, tuple[float, float]] = field(default_factory=dict)
+    views: int = 1
 
     def record(self) -> dict[str, object]:
         """Completed box for JSON: centre and size in metres, sides by name."""
@@ -85,6 +88,7 @@ class CompletedBox:
             "size": np.round(self.box.size, 4).tolist(),
             "completed": list(self.completed),
             "interval_m": {side: np.round(ends, 4).tolist() for side, ends in self.interval.items()},
+            "views": self.views,
         }
 
 
