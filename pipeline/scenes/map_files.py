@@ -106,12 +106,8 @@ def read_map(path: Path) -> ObjectMap:
     table = checked(TypeAdapter(_Stored).validate_python, text, f"{wrong}: {{}}", path)
     sound = pairs.ndim == 1 and pairs.shape == counts.shape and (np.diff(pairs) > 0).all()
     ids = {join.object_id for join in table.joins}
-    sound = (
-        sound
-        and len(boxes) == len(table.joins)
-        and ids == set(range(len(ids)))
-        and {o.id for o in table.objects} <= ids
-    )
+    sound = sound and len(boxes) == len(table.joins) and ids == set(range(len(ids)))
+    sound = sound and {o.id for o in table.objects} <= ids
     sound = sound and declared.shape == poses.shape == (len(table.posed), 4, 4)
     voxels = Voxels(pairs, counts)
     require(sound and voxels.sizes().keys() <= {-1, *ids}, wrong, path=path)

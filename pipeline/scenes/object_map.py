@@ -278,11 +278,12 @@ def _presence(counts: np.ndarray) -> tuple[Presence, float]:
 def map_record(made: ObjectMap) -> dict[str, Any]:
     """JSON-able record of a map: objects, joins, agreement of poses by pair, refinements, frames left out.
 
-    All places are in the world's frame, metres; an object's "box" is the whole one, see `CompletedBox.record`.
+    All places are in the frame of "reference", metres; an object's "box" is the whole one, see `CompletedBox.record`.
     """
     boxes = {k: {"R": np.round(box.box.R, 6).tolist(), **box.record()} for k, box in made.boxes.items()}
     return {
         "scene": made.scene,
+        "reference": {"frame": "world", "unit": "m", "up": np.round(made.up, 6).tolist() if boxes else None},
         "frames": list(made.frame_ids),
         "objects": [{**_plain(o), "state": o.state, "box": boxes.get(o.id)} for o in made.objects],
         "joins": [{**_plain(j), "doubtful": j.doubtful} for j in made.joins],

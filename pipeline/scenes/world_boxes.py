@@ -17,10 +17,8 @@ from pipeline.geometry.fitting import canonicalised
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.system.frozen import dataclass
 
-MEASURED_M = 0.015
-"""Standard deviation of a side that a view measured, metres."""
-TAIL = 1.2816
-"""Standard deviations from the middle to the ends of a 10 to 90 % interval."""
+MEASURED_M = 0.02
+"""Metres within which a side that a view measured lies in 80 % of cases."""
 STRAY, SLACK_M = 3.0, 0.03
 """Percent of an object's places at either end that do not count, and metres by which the others may lie outside."""
 LEAST_SURE = 0.03
@@ -95,23 +93,29 @@ def joined_box(views: Sequence[ViewBox], places: np.ndarray, up: np.ndarray) -> 
     """
     R = _axes(views, up)
     place, low, high = np.stack([view.along(R) for view in views], axis=1)
-    spread = np.maximum((high - low) / (2 * TAIL), MEASURED_M)
-    weight = spread**-2
-    found = (weight * place).sum(axis=0) / weight.sum(axis=0)
+    spread = np.maximum((high - low) / 2, MEASURED_M)
+    found = _medians(place, spread**-2)
     if len(views) > 1 and len(places):
         ends = np.percentile(places @ R, (STRAY, 100 - STRAY), axis=0)
         found = np.maximum(found, np.stack([-ends[0], ends[1]], axis=1).ravel() - SLACK_M)
     best, side = spread.argmin(axis=0), np.arange(6)
     unmeasured = (high > low).all(axis=0)
-    # A side's own noise is the least.
-    low = np.minimum(low[best, side] - found, -TAIL * MEASURED_M)
-    high = np.maximum(high[best, side] - found, TAIL * MEASURED_M)
-    low, high = (np.where(unmeasured, end, sign * TAIL * MEASURED_M) for end, sign in ((low, -1), (high, 1)))
+    low = np.where(unmeasured, np.minimum(low[best, side] - found, -MEASURED_M), -MEASURED_M)
+    high = np.where(unmeasured, np.maximum(high[best, side] - found, MEASURED_M), MEASURED_M)
     size = np.maximum(found[::2] + found[1::2], 0.0)
     box = Box3D(R @ (found[1::2] - found[::2]) / 2, R, size)
     told = zip(SIDES, zip(low.tolist(), high.tolist(), strict=True), strict=True)
     sides = tuple(SIDES[k] for k in np.flatnonzero(unmeasured))
     return CompletedBox(box, box, sides, dict(told), len(views))
+
+
+def _medians(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted medians of the columns of (N, D) values, each between the two nearest to it: one wrong view of several
+    moves nothing far."""
+    order = values.argsort(axis=0, kind="stable")
+    values, weights = (np.take_along_axis(given, order, axis=0) for given in (values, weights))
+    shares = (weights.cumsum(axis=0) - weights / 2) / weights.sum(axis=0)
+    return np.array([np.interp(0.5, *column) for column in zip(shares.T, values.T, strict=True)])
 
 
 def _axes(views: Sequence[ViewBox], up: np.ndarray) -> np.ndarray:
@@ -132,6 +136,6 @@ def seen_by(whole: CompletedBox, pose: np.ndarray, viewer: ViewerAxes) -> Comple
     level = viewer.R_level_camera
     box = canonicalised(whole.box.transformed(np.linalg.inv(pose)).turned(level, 0.0)).turned(level.T)
     sides = sides_along(pose[:3, :3].T @ whole.box.R, box.R).tolist()
-    interval = {name: whole.interval[SIDES[k]] for name, k in zip(SIDES, sides, strict=True)}
-    completed = tuple(name for name, k in zip(SIDES, sides, strict=True) if SIDES[k] in whole.completed)
+    interval = {SIDES[place]: whole.interval[SIDES[k]] for place, k in enumerate(sides)}
+    completed = tuple(SIDES[place] for place, k in enumerate(sides) if SIDES[k] in whole.completed)
     return CompletedBox(box, box, completed, interval, whole.views)
