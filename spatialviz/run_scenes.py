@@ -74,8 +74,17 @@ def print_map(made: ObjectMap) -> None:
         places = [str(count[p]) if count[p] else "" for p in ("seen", "hidden", "out", "missed", "gone")]
         box = made.boxes.get(o.id)
         size = "" if box is None else " × ".join(f"{edge:.2f}" for edge in box.box.size)
-        by = "" if box is None else "network" if box.views == 1 else f"{box.views} views"
-        rows.append((str(o.id), o.label, size, by, *places, "" if state == "static" else state, others))
+        rows.append(
+            (
+                str(o.id),
+                o.label,
+                size,
+                "" if box is None else box.by,
+                *places,
+                "" if state == "static" else state,
+                others,
+            )
+        )
     counts = (">seen", ">hidden", ">out", ">missed", ">gone")
     print_rows((">id", "object", "whole box, m", "by", *counts, "state", "also called"), rows)
     doubtful = (

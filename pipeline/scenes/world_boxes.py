@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.whole_boxes import CompletedBox
-from pipeline.geometry.boxes import SIDES, Box3D
+from pipeline.geometry.boxes import SIDES, Box3D, Side
 from pipeline.geometry.fitting import canonicalised
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.system.frozen import dataclass
@@ -104,9 +104,8 @@ def joined_box(views: Sequence[ViewBox], places: np.ndarray, up: np.ndarray) -> 
     high = np.where(unmeasured, np.maximum(high[best, side] - found, MEASURED_M), MEASURED_M)
     size = np.maximum(found[::2] + found[1::2], 0.0)
     box = Box3D(R @ (found[1::2] - found[::2]) / 2, R, size)
-    told = zip(SIDES, zip(low.tolist(), high.tolist(), strict=True), strict=True)
-    sides = tuple(SIDES[k] for k in np.flatnonzero(unmeasured))
-    return CompletedBox(box, box, sides, dict(told), len(views))
+    sides: tuple[Side, ...] = tuple(SIDES[k] for k in np.flatnonzero(unmeasured))
+    return CompletedBox(box, box, sides, {SIDES[k]: (low[k], high[k]) for k in range(6)}, len(views))
 
 
 def _medians(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -136,6 +135,8 @@ def seen_by(whole: CompletedBox, pose: np.ndarray, viewer: ViewerAxes) -> Comple
     level = viewer.R_level_camera
     box = canonicalised(whole.box.transformed(np.linalg.inv(pose)).turned(level, 0.0)).turned(level.T)
     sides = sides_along(pose[:3, :3].T @ whole.box.R, box.R).tolist()
-    interval = {SIDES[place]: whole.interval[SIDES[k]] for place, k in enumerate(sides)}
-    completed = tuple(SIDES[place] for place, k in enumerate(sides) if SIDES[k] in whole.completed)
+    interval: dict[Side, tuple[float, float]] = {
+        SIDES[place]: whole.interval[SIDES[k]] for place, k in enumerate(sides)
+    }
+    completed: tuple[Side, ...] = tuple(SIDES[place] for place, k in enumerate(sides) if SIDES[k] in whole.completed)
     return CompletedBox(box, box, completed, interval, whole.views)

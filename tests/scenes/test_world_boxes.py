@@ -79,8 +79,9 @@ def test_what_other_views_saw_lies_in_the_box_and_stray_places_do_not_count() ->
 
 
 def test_quarter_turns_only_exchange_sides() -> None:
-    found = [joined_box([view_of(Box3D(TRUE.center, TRUE.R @ turned(90 * k), TRUE.size[[2, 1, 0] if k % 2 else [0, 1, 2]]))]
-                        * 2, NOTHING, UP).box for k in range(4)]  # fmt: skip
+    turns = (Box3D(TRUE.center, TRUE.R @ turned(90 * k), TRUE.size) for k in range(4))
+    sized = (Box3D(b.center, b.R, b.size[[2, 1, 0]]) if k % 2 else b for k, b in enumerate(turns))
+    found = [joined_box([view_of(box)] * 2, NOTHING, UP).box for box in sized]
     for one, other in pairwise(found):
         assert iou_3d(one, other) > 0.999
     np.testing.assert_array_equal(sides_along(np.eye(3), turned(90)), [5, 4, 2, 3, 0, 1])
