@@ -13,7 +13,6 @@ from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.story_words import capital
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.diagnosis.whatif.region import AskedPair, asked_pair
-from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.cleaning import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, palette
 from pipeline.language.relation_names import PHRASE
@@ -118,9 +117,11 @@ def _facts(state: State, i: int) -> Element:
     lifted, quality, score = entry.lifted, entry.lifted.quality, score_text(entry.score)
     facts: dict[str, Child] = {}
     if lifted.box is not None:
-        facts["size"] = _size(lifted.box)
+        width, height, depth = lifted.box.size
+        facts["size"] = f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"
         if (whole := entry.estimated) is not None:
-            facts["whole box"] = f"{_size(whole.box)}, by {whole.by}, ± {100 * whole.within:.0f} cm"
+            edges = " × ".join(f"{edge:.2f}" for edge in whole.box.size)
+            facts["whole box"] = f"{edges} m, by {whole.by}, ± {100 * whole.within:.0f} cm"
         facts["distance"] = f"{quality.distance:.2f} m · ", term("yaw"), f" confidence {lifted.yaw_confidence:.2f}"
     if lifted.open_sides:
         sides = term("open sides", ", ".join(lifted.open_sides))
@@ -143,11 +144,6 @@ def _facts(state: State, i: int) -> Element:
         note("; ".join(quality.concerns)) if quality.concerns else None,
         cls="object",
     )
-
-
-def _size(box: Box3D) -> str:
-    width, height, depth = box.size
-    return f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"
 
 
 BY_GEOMETRY = {T: "yes", F: "no", U: "unsure"}
