@@ -191,7 +191,7 @@ def seen_objects(
             o.score,
             o.held.crop,
             _kept(o, prepared.frame.depth),
-            None if T_world_camera is None else ViewBox.of(o, T_world_camera),
+            None if T_world_camera is None else ViewBox.of(o, T_world_camera, prepared.viewer),
         )
         for place, o in enumerate(all_objects(prepared, detector))
     )

@@ -36,17 +36,19 @@ class ViewBox:
     sure: float  # Yaw confidence of the view's fit
 
     @classmethod
-    def of(cls, entry: SceneObject, pose: np.ndarray) -> ViewBox | None:
+    def of(cls, entry: SceneObject, pose: np.ndarray, viewer: ViewerAxes) -> ViewBox | None:
         """Box of an object of a frame that asks for completed ones, by its pose; None without one."""
         if (whole := entry.whole) is None:
             return None
+        # Boxes that were given may have their axes in any order; they have no interval.
+        box = whole.box if whole.interval else _near_viewer(whole.box, viewer)
         shift = (whole.box.center - whole.seen.center) @ whole.seen.R
         moved = np.repeat(whole.box.size - whole.seen.size, 2) / 2 + np.stack([-shift, shift], axis=1).ravel()
         ends = np.zeros((2, 6))
         for side, own in whole.interval.items():
             k = SIDES.index(side)
             ends[:, k] = np.array(own) - moved[k]
-        return cls(whole.box.transformed(pose), ends, entry.lifted.yaw_confidence)
+        return cls(box.transformed(pose), ends, entry.lifted.yaw_confidence)
 
     @property
     def row(self) -> np.ndarray:
@@ -132,11 +134,16 @@ def _axes(views: Sequence[ViewBox], up: np.ndarray) -> np.ndarray:
 
 def seen_by(whole: CompletedBox, pose: np.ndarray, viewer: ViewerAxes) -> CompletedBox:
     """World box in the camera frame of a pose, with its axes near the viewer's (right, down, forward)."""
-    level = viewer.R_level_camera
-    box = canonicalised(whole.box.transformed(np.linalg.inv(pose)).turned(level, 0.0)).turned(level.T)
+    box = _near_viewer(whole.box.transformed(np.linalg.inv(pose)), viewer)
     sides = sides_along(pose[:3, :3].T @ whole.box.R, box.R).tolist()
     interval: dict[Side, tuple[float, float]] = {
         SIDES[place]: whole.interval[SIDES[k]] for place, k in enumerate(sides)
     }
     completed: tuple[Side, ...] = tuple(SIDES[place] for place, k in enumerate(sides) if SIDES[k] in whole.completed)
     return CompletedBox(box, box, completed, interval, whole.views)
+
+
+def _near_viewer(box: Box3D, viewer: ViewerAxes) -> Box3D:
+    """Camera-frame box with its axes renamed to be near the viewer's (right, down, forward)."""
+    level = viewer.R_level_camera
+    return canonicalised(box.turned(level)).turned(level.T)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from posed_worlds import SCENE, demo
 
-from pipeline.geometry import Box3D, iou_3d, viewer_axes
+from pipeline.geometry import Annotation, Box3D, iou_3d, viewer_axes
 from pipeline.geometry.boxes import SIDES
 from pipeline.scenes.object_map import ObjectMap, map_record, map_scene
 from pipeline.scenes.world_boxes import MEASURED_M, ViewBox, joined_box, seen_by, sides_along
@@ -114,6 +115,22 @@ def test_boxes_of_the_demo_are_nearer_to_the_whole_ones_by_more_views(made: Obje
         found[len(ious) == 3].append(float(np.median(ious)))
     assert np.mean(np.array(found[True]) >= 0.5) >= 0.7
     assert np.mean(found[True]) > np.mean(found[False])
+
+
+def test_given_boxes_are_taken_as_they_are_whatever_their_axes_are_called(made: ObjectMap) -> None:
+    def given(frame_id: str, a: Annotation) -> Annotation:
+        assert a.box is not None
+        return replace(a, box=Box3D(a.box.center, a.box.R[:, [1, 2, 0]], a.box.size[[1, 2, 0]]), fixed=True)
+
+    pipeline = demo(annotated=given)
+    found = map_scene(pipeline, "s", SCENE)
+    np.testing.assert_allclose(found.up, made.up, atol=0.02)
+    for a in pipeline.dataset.load(SCENE[0]).annotations:
+        entry = found.of_object(SCENE[0], a.index)
+        assert entry is not None
+        assert a.box is not None
+        if len(entry.numbers) == 3:
+            assert iou_3d(found.boxes[entry.id].box, a.box.transformed(found.poses[SCENE[0]])) > 0.8
 
 
 def test_a_map_tells_each_box_with_its_views_in_the_world(made: ObjectMap) -> None:
