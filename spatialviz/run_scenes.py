@@ -75,8 +75,21 @@ def print_map(made: ObjectMap, driven: Sequence[RobotMove] = ()) -> None:
         others = ", ".join(name for name in o.votes if name != o.label)
         state = o.state if o.other_place is None else f"{o.state}, also {o.other_place}"
         places = [str(count[p]) if count[p] else "" for p in ("seen", "hidden", "out", "missed", "gone")]
-        rows.append((str(o.id), o.label, *places, "" if state == "static" else state, others))
-    print_rows((">id", "object", ">seen", ">hidden", ">out", ">missed", ">gone", "state", "also called"), rows)
+        box = made.boxes.get(o.id)
+        size = "" if box is None else " × ".join(f"{edge:.2f}" for edge in box.box.size)
+        rows.append(
+            (
+                str(o.id),
+                o.label,
+                size,
+                "" if box is None else box.by,
+                *places,
+                "" if state == "static" else state,
+                others,
+            )
+        )
+    counts = (">seen", ">hidden", ">out", ">missed", ">gone")
+    print_rows((">id", "object", "whole box, m", "by", *counts, "state", "also called"), rows)
     doubtful = (
         f"doubtful: {j.label}·{j.number} of {j.frame_id} as {j.object_id}: IoU {j.iou:.2f}, of the next best "
         f"{j.second:.2f}, over {j.known:.0%} of its pixels, which were seen before"

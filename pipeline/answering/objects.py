@@ -66,8 +66,14 @@ class SceneObject:
     @property
     def size_box(self) -> Box3D | None:
         """Box by which sizes are compared: the whole object's where it is estimated, else the seen one."""
+        return self.box if (whole := self.estimated) is None else whole.box
+
+    @property
+    def estimated(self) -> CompletedBox | None:
+        """Whole box, where it is estimated and differs from the seen one."""
         # What was moved or drawn since has a box of its own.
-        return self.whole.box if self.whole is not None and self.whole.seen is self.box else self.box
+        valid = self.whole is not None and self.whole.seen is self.box and self.whole.box is not self.box
+        return self.whole if valid else None
 
     def name(self, index: int, exact: bool) -> str:
         """Name in tables: by the dataset's own number for exact objects, else by place in the list."""

@@ -40,6 +40,8 @@ LEAST_SIZE, SLACK = 0.005, 0.1
 """Metres that an edge has at least; a side's unit is its box's length across it, and so much of the longest edge."""
 MOVED = 0.02
 """Units from which a side counts as completed."""
+UNSURE_M, UNSURE_SHARE = 0.05, 0.2
+"""Lengths of intervals above which a side is uncertain, metres and as a share."""
 COLUMNS = (
     *(f"log_size_{axis}" for axis in AXES),
     *("log_longest", "log_distance"),
@@ -71,12 +73,31 @@ class CompletedBox:
         Sides that are estimated: they lie farther out than the seen ones.
     interval : dict of Side to (float, float)
         10 to 90 % interval of where each side that is not measured lies, metres outwards from the seen one.
+    views : int
+        So many views tell of it; what none of them sees is the network's.
     """
 
     box: Box3D
     seen: Box3D
     completed: tuple[Side, ...] = ()
     interval: Mapping[Side, tuple[float, float]] = field(default_factory=dict)
+    views: int = 1
+
+    @property
+    def by(self) -> str:
+        """What completed it, in words."""
+        return "the network" if self.views == 1 else f"{self.views} views"
+
+    @property
+    def unsure(self) -> tuple[Side, ...]:
+        """Sides that may lie anywhere within more than UNSURE_M or UNSURE_SHARE of the box's length across them."""
+        most = np.minimum(UNSURE_M, UNSURE_SHARE * np.repeat(self.box.size, 2))
+        return tuple(side for side, (low, high) in self.interval.items() if high - low > most[SIDES.index(side)])
+
+    @property
+    def within(self) -> float:
+        """Half the longest interval of a side, metres."""
+        return max((high - low for low, high in self.interval.values()), default=0.0) / 2
 
     def record(self) -> dict[str, object]:
         """Completed box for JSON: centre and size in metres, sides by name."""
@@ -85,6 +106,7 @@ class CompletedBox:
             "size": np.round(self.box.size, 4).tolist(),
             "completed": list(self.completed),
             "interval_m": {side: np.round(ends, 4).tolist() for side, ends in self.interval.items()},
+            "views": self.views,
         }
 
 

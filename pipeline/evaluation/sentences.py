@@ -186,7 +186,7 @@ def acc_iou(answer: Box3D | None, right: Sequence[Box3D], viewer: ViewerAxes) ->
 def _published_iou(one: Judged, context: PreparedFrame) -> float | None:
     """IoU of the published metric; None without a right 3D box."""
     right = [a.box for a in context.frame.annotations if a.index in (one.sentence.targets or ()) and a.box is not None]
-    return acc_iou(None if one.entry is None else one.entry.box, right, context.viewer) if right else None
+    return acc_iou(None if one.entry is None else one.entry.size_box, right, context.viewer) if right else None
 
 
 def _diagnosed(one: Judged, source: Pipeline, context: PreparedFrame, truth: FrameCases | str | None) -> Judged:

@@ -105,15 +105,25 @@ class Box3D:
 
 def drawn_edges(box: Box3D, open_sides: Sequence[Side] | None = None) -> np.ndarray:
     """Edges of a box to draw, (N, 2, 3) float64: twelve, those of open sides with a gap in their middle."""
-    ends = box.corners[EDGES]
-    signs = CORNER_SIGNS[EDGES]
-    # An edge is of a side where both its corners are.
-    of_side = [(signs[:, :, k // 2] == (-1, 1)[k % 2]).all(axis=1) for k in map(SIDES.index, open_sides or ())]
-    cut = np.any([np.zeros(len(EDGES), np.bool_), *of_side], axis=0)
+    ends, cut = box.corners[EDGES], edges_of(open_sides or ())
     start, end = ends[cut, 0], ends[cut, 1]
     step = (end - start) * (1 - OPEN_GAP) / 2
     pieces = np.stack([start, start + step], axis=1), np.stack([end - step, end], axis=1)
     return np.concatenate([ends[~cut], *pieces])
+
+
+def edges_of(sides: Sequence[Side]) -> np.ndarray:
+    """(12,) bool: which of EDGES bound any of these sides."""
+    signs = CORNER_SIGNS[EDGES]
+    # An edge is of a side where both its corners are.
+    of_side = [(signs[:, :, k // 2] == (-1, 1)[k % 2]).all(axis=1) for k in map(SIDES.index, sides)]
+    return np.any([np.zeros(len(EDGES), np.bool_), *of_side], axis=0)
+
+
+def half_dashed(box: Box3D, sides: Sequence[Side]) -> np.ndarray:
+    """Edges of a box, (N, 2, 3) float32, of which those of these sides are dashed."""
+    ends, unsure = box.corners[EDGES], edges_of(sides)
+    return np.concatenate([ends[~unsure].astype(np.float32), dashed(ends[unsure], dash_of(box))])
 
 
 def dashed(segments: np.ndarray, period: float, share: float = 0.55) -> np.ndarray:
@@ -139,6 +149,11 @@ DASH, SHORTEST_DASH, LONGEST_DASH = 0.12, 0.03, 0.25
 """Period of a box's dashes: share of its diagonal, within metres that are told from afar and from nearby."""
 
 
+def dash_of(box: Box3D) -> float:
+    """Period of a box's dashes, metres."""
+    return float(np.clip(DASH * np.linalg.norm(box.size), SHORTEST_DASH, LONGEST_DASH))
+
+
 def edge_lines(
     boxes: Iterable[Box3D],
     growth: float = 0.0,
@@ -152,8 +167,7 @@ def edge_lines(
     grown = [Box3D(b.center, b.R, b.size + growth) for b in boxes]
     drawn = map(drawn_edges, grown) if open_sides is None else map(drawn_edges, grown, open_sides)
     if dashes:
-        periods = (np.clip(DASH * np.linalg.norm(b.size), SHORTEST_DASH, LONGEST_DASH) for b in grown)
-        drawn = map(dashed, drawn, map(float, periods))
+        drawn = map(dashed, drawn, map(dash_of, grown))
     return np.concatenate([np.zeros((0, 2, 3)), *drawn]).astype(np.float32)
 
 

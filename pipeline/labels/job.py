@@ -106,6 +106,8 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
         if (np.diff(found.ids) < 0).any():
             found = found.take(np.argsort(found.ids, kind="stable"))
         objects = context.lift(found, detector)
+        if labeller.instances is not None and config.lift.boxes == "completed":
+            objects = labeller.instances.completed(frame_id, objects, detector.exact, context.viewer)
     except InputError as error:
         return broken_frame(frame_id, frame_index, scene, str(error))
     labels = label_objects(

@@ -18,6 +18,7 @@ from pipeline.geometry.masks import MaskCrop, topmost
 from pipeline.language.noun_phrase import same_names
 from pipeline.scenes.views import PosedView
 from pipeline.scenes.voxels import BACKGROUND, UNSEEN, Voxels
+from pipeline.scenes.world_boxes import ViewBox
 from pipeline.system.errors import require
 from pipeline.system.frozen import dataclass
 
@@ -44,6 +45,7 @@ class Sighting:
     score: float  # 0..1
     mask: MaskCrop
     kept: np.ndarray | None = None  # (h, w) bool, of the mask's crop: pixels that are the object's beyond doubt
+    box: ViewBox | None = None  # Whole box, world
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ class Join:
 class Joining:
     """Objects of a scene as views come in, in their order.
 
-    `voxels` and `joins` (with the ids of before `merged`) are all that it knows: of a saved scene it goes on from them.
+    `voxels`, `joins` (with the ids of before `merged`) and `boxes` (of each join, if any) are all that it knows: of a
+    saved scene it goes on from them.
 
     >>> from pipeline.answering.pipeline import open_pipeline
     >>> from pipeline.scenes.joining import Joining, seen_objects
@@ -82,13 +85,19 @@ class Joining:
     (19, 29)
     """
 
-    def __init__(self, voxels: Voxels | None = None, joins: Iterable[Join] = ()) -> None:
+    def __init__(
+        self, voxels: Voxels | None = None, joins: Iterable[Join] = (), boxes: Iterable[ViewBox | None] = ()
+    ) -> None:
         self.voxels = voxels or Voxels()
-        self.joins = list(joins)
+        self.joins, self.boxes = list(joins), list(boxes)
         self.votes: dict[int, dict[str, float]] = {}
         """By object, the summed scores of the class names."""
         for join in self.joins:
             vote(self.votes, join.object_id, join)
+
+    def copied(self) -> Joining:
+        """Joining that goes on from here, and leaves this one as it is."""
+        return Joining(self.voxels, self.joins, self.boxes)
 
     def add(self, view: PosedView, objects: Sequence[Sighting]) -> tuple[Join, ...]:
         """Match the objects of the next view, and take them in."""
@@ -105,6 +114,7 @@ class Joining:
         ids = np.array([BACKGROUND, *(join.object_id for join in found)])
         self.voxels = self.voxels.added(points, ids[own + 1])
         self.joins.extend(found)
+        self.boxes.extend(o.box for o in objects)
         return found
 
     def _matched(
@@ -169,11 +179,20 @@ def elected(votes: Mapping[str, float]) -> str:
     return min(votes, key=lambda label: (-votes[label], label))
 
 
-def seen_objects(pipeline: Pipeline, prepared: PreparedFrame) -> tuple[Sighting, ...]:
-    """Objects of a frame as a pipeline's detector finds them, each with a mask."""
+def seen_objects(
+    pipeline: Pipeline, prepared: PreparedFrame, T_world_camera: np.ndarray | None = None
+) -> tuple[Sighting, ...]:
+    """Objects of a frame as a pipeline's detector finds them, each with a mask, and with a pose its box."""
     detector = pipeline.needed_detector()
     return tuple(
-        Sighting(o.id if detector.exact else place, o.label, o.score, o.held.crop, _kept(o, prepared.frame.depth))
+        Sighting(
+            o.id if detector.exact else place,
+            o.label,
+            o.score,
+            o.held.crop,
+            _kept(o, prepared.frame.depth),
+            None if T_world_camera is None else ViewBox.of(o, T_world_camera, prepared.viewer),
+        )
         for place, o in enumerate(all_objects(prepared, detector))
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -14,13 +15,16 @@ from pipeline.scenes.joining import Join, Joining
 from pipeline.scenes.object_map import ObjectMap, WorldObject
 from pipeline.scenes.poses import PoseAgreement, Refinement
 from pipeline.scenes.voxels import Voxels
+from pipeline.scenes.world_boxes import NUMBERS, ViewBox
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.frozen import dataclass
 from pipeline.system.reading import checked
 from pipeline.system.safe_files import opened_arrays, parse_json
 from pipeline.system.whole_files import write_whole
 
-VERSION = 1
+VERSION = 2
+NO_BOX = np.full(NUMBERS, np.nan)
+"""Row of an object of a view that has no box."""
 SUFFIX = ".npz"
 
 
@@ -59,6 +63,7 @@ def save_map(made: ObjectMap, folder: Path) -> Path:
         poses=_stacked(made.poses),
         pairs=made.joining.voxels.pairs,
         counts=made.joining.voxels.counts,
+        boxes=np.array([NO_BOX if box is None else box.row for box in made.joining.boxes]).reshape(-1, NUMBERS),
     )
     path = map_path(folder, made.scene)
     write_whole(path, file.getvalue(), "the map")
@@ -93,14 +98,21 @@ def read_map(path: Path) -> ObjectMap:
     with as_input_error(wrong, Exception, path=path), opened_arrays(path) as arrays:
         text = parse_json(arrays["table"].astype(np.uint8, casting="no").tobytes(), path)
         declared, poses = (arrays[name].astype(np.float64, casting="no") for name in ("declared", "poses"))
+        version = text.get("version") if isinstance(text, dict) else None
+        require(version in (1, VERSION), "the map is of another version", got=version, expected=VERSION, path=path)
         pairs = arrays["pairs"].astype(np.int64, casting="no")
         counts = arrays["counts"].astype(np.int32, casting="no")
-    version = text.get("version") if isinstance(text, dict) else None
-    require(version == VERSION, "the map is of another version", got=version, expected=VERSION, path=path)
+        rows = None if version == 1 else arrays["boxes"].astype(np.float64, casting="no").reshape(-1, NUMBERS)
     table = checked(TypeAdapter(_Stored).validate_python, text, f"{wrong}: {{}}", path)
+    if rows is None:
+        # The first version had no boxes: whoever goes on from it makes it anew.
+        table = replace(table, settings={**table.settings, "version": "1"})
+        rows = np.broadcast_to(NO_BOX, (len(table.joins), NUMBERS))
+    boxes = [ViewBox.of_row(row) if np.isfinite(row).all() else None for row in rows]
     sound = pairs.ndim == 1 and pairs.shape == counts.shape and (np.diff(pairs) > 0).all()
     ids = {join.object_id for join in table.joins}
-    sound = sound and ids == set(range(len(ids))) and {o.id for o in table.objects} <= ids
+    sound = sound and len(boxes) == len(table.joins) and ids == set(range(len(ids)))
+    sound = sound and {o.id for o in table.objects} <= ids
     sound = sound and declared.shape == poses.shape == (len(table.posed), 4, 4)
     voxels = Voxels(pairs, counts)
     require(sound and voxels.sizes().keys() <= {-1, *ids}, wrong, path=path)
@@ -113,7 +125,7 @@ def read_map(path: Path) -> ObjectMap:
         table.agreements,
         table.refinements,
         table.left_out,
-        Joining(voxels, table.joins),
+        Joining(voxels, table.joins, boxes),
         table.objects,
     )
 

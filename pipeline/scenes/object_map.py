@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.answering.objects import prepare_frame
 from pipeline.answering.pipeline import Pipeline
+from pipeline.answering.whole_boxes import CompletedBox
 from pipeline.datasets.base import load_pose
 from pipeline.language.noun_phrase import same_names
 from pipeline.scenes.joining import Join, Joining, elected, seen_objects, vote
@@ -23,6 +24,7 @@ from pipeline.scenes.pose_fit import SceneViews, bad_poses
 from pipeline.scenes.poses import PoseAgreement, Refinement
 from pipeline.scenes.views import PosedView, Visibility
 from pipeline.scenes.voxels import Voxels
+from pipeline.scenes.world_boxes import ViewBox, joined_box
 from pipeline.system.errors import InputError
 from pipeline.system.frozen import dataclass
 
@@ -102,6 +104,22 @@ class ObjectMap:
         """Places of the objects, by their ids, and of the background."""
         return self.joining.voxels.renamed(self.joining.merged())
 
+    @cached_property
+    def up(self) -> np.ndarray:
+        """Up of the scene, (3,), world: the mean over its objects' boxes in all frames; NaN without any."""
+        ups = [-box.box.R[:, 1] for box in self.joining.boxes if box is not None]
+        up = np.mean(ups, axis=0) if ups else np.full(3, np.nan)
+        return up / np.linalg.norm(up)
+
+    @cached_property
+    def boxes(self) -> Mapping[int, CompletedBox]:
+        """Whole boxes by object, world: joined of all views that see it."""
+        views: dict[int, list[ViewBox]] = {}
+        for join, box in zip(self.joins, self.joining.boxes, strict=True):
+            if box is not None:
+                views.setdefault(join.object_id, []).append(box)
+        return {k: joined_box(own, self.voxels.of(k), self.up) for k, own in views.items()}
+
     def of_object(self, frame_id: str, number: int) -> WorldObject | None:
         """The object that a frame calls by a number; None for a frame or number without one."""
         return next((o for o in self.objects if o.numbers.get(frame_id) == number), None)
@@ -157,14 +175,15 @@ def map_scene(
             except InputError as error:
                 unread[frame_id] = str(error)
     bad = bad_poses(posed.agreements)
+    lift = replace(pipeline.config.lift, box="upright", boxes="completed")
     if known is not None and before.keys() == bad.keys() & set(known.listed):
-        joining, tried = Joining(known.joining.voxels, known.joining.joins), set(known.listed)
+        joining, tried = known.joining.copied(), set(known.listed)
     for done, frame_id in enumerate(listed):
         progress("joining objects", done, len(listed))
         if frame_id in posed.poses and frame_id not in {*bad, *tried}:
             try:
                 frame = dataset.load(frame_id)
-                objects = seen_objects(pipeline, prepare_frame(dataset, frame, pipeline.config.lift, boxes=False))
+                objects = seen_objects(pipeline, prepare_frame(dataset, frame, lift), posed.poses[frame_id])
                 joining.add(PosedView.of(frame, posed.poses[frame_id]), objects)
             except InputError as error:
                 unread[frame_id] = str(error)
@@ -257,11 +276,16 @@ def _presence(counts: np.ndarray) -> tuple[Presence, float]:
 
 
 def map_record(made: ObjectMap) -> dict[str, Any]:
-    """JSON-able record of a map: objects, joins, agreement of poses by pair, refinements, frames left out."""
+    """JSON-able record of a map: objects, joins, agreement of poses by pair, refinements, frames left out.
+
+    All places are in the frame of "reference", metres; an object's "box" is the whole one, see `CompletedBox.record`.
+    """
+    boxes = {k: {"R": np.round(box.box.R, 6).tolist(), **box.record()} for k, box in made.boxes.items()}
     return {
         "scene": made.scene,
+        "reference": {"frame": "world", "unit": "m", "up": np.round(made.up, 6).tolist() if boxes else None},
         "frames": list(made.frame_ids),
-        "objects": [{**_plain(o), "state": o.state} for o in made.objects],
+        "objects": [{**_plain(o), "state": o.state, "box": boxes.get(o.id)} for o in made.objects],
         "joins": [{**_plain(j), "doubtful": j.doubtful} for j in made.joins],
         "poses": [{**_plain(p), "agree": None if p.agree is None else round(p.agree, 4)} for p in made.agreements],
         "refinements": [{**_plain(r), "better": r.better} for r in made.refinements],

@@ -17,7 +17,7 @@ from pipeline.answering.pipeline import Pipeline
 from pipeline.geometry.camera import Camera, intrinsics, project, to_world
 from pipeline.geometry.cleaning import LiftConfig
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
+from pipeline.geometry.lifting import LiftedObject, Quality, extents
 from pipeline.language.naming import match
 from pipeline.language.views import spoken_viewpoint
 from pipeline.proposals.annotations import AnnotationDetector
@@ -25,6 +25,7 @@ from pipeline.proposals.base import Detector, Proposals
 from pipeline.scenes.object_map import ObjectMap, Presence, WorldObject, presences
 from pipeline.scenes.views import PosedView
 from pipeline.scenes.voxels import VOXEL_M, centers_of
+from pipeline.scenes.world_boxes import seen_by
 from pipeline.system.errors import InputError, require
 
 EYE_HEIGHT_M = 1.5
@@ -34,8 +35,6 @@ IMAGINED = Camera(intrinsics(400.0, 400.0, 320.0, 240.0), 640, 480)
 LEAST_DEPTH_M = 0.05
 FLOOR_PERCENTILE = 1.0
 """Of the heights of a scene's places: single stray ones lie below the floor."""
-UP_FRAMES = 8
-"""So many frames say where up is."""
 LEAST_APART_M = 0.2
 """Objects nearer to each other give no direction to face."""
 
@@ -60,23 +59,30 @@ class WorldFrame(PreparedFrame):
         found = tuple(Annotation(o.id, o.label, bboxes[o.id]) for o in made.objects)
         super().__init__(replace(frame, annotations=found), config)
         self.made, self.pose, self.points = made, pose, points
+        self.wholes = {number: seen_by(whole, pose, self.viewer) for number, whole in made.boxes.items()}
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
         """Take the objects' points from the scene."""
         nothing = np.zeros(self.frame.depth.shape, np.bool_)
         return tuple(
             SceneObject(
-                int(n), proposals.label(i), float(proposals.scores[i]), proposals.boxes[i], nothing, self._of(int(n))
+                int(n),
+                proposals.label(i),
+                float(proposals.scores[i]),
+                proposals.boxes[i],
+                nothing,
+                self._of(int(n)),
+                whole=self.wholes.get(int(n)),
             )
             for i, n in enumerate(proposals.ids)
         )
 
     def _of(self, number: int) -> LiftedObject:
-        points = self.points[number]
-        box, sure = fit_box(points, self.viewer, self.config.box)
+        points, whole = self.points[number], self.wholes.get(number)
+        box = None if whole is None else whole.box
         distance = float(np.median(points[:, 2])) if len(points) else float("nan")
         quality = Quality(0, len(points), 1.0, 0.0, False, distance, False, "annotation")
-        return LiftedObject(points, box, sure, *extents(points, box, self.viewer), None, quality)
+        return LiftedObject(points, box, 0.0, *extents(points, box, self.viewer), None, quality)
 
 
 def from_frame(pipeline: Pipeline, made: ObjectMap, frame_id: str) -> WorldFrame:
@@ -98,7 +104,8 @@ def imagined(pipeline: Pipeline, made: ObjectMap, at: str, facing: str) -> World
     InputError for a name that the scene has no object of, or more than one, and for objects above each other.
     """
     one, other = named_object(made, at), named_object(made, facing)
-    up = _world_up(pipeline, made)
+    up = made.up
+    require(np.isfinite(up).all(), "nothing of the scene has a box, which would tell where up is")
     ahead = np.subtract(other.center, one.center)
     ahead = ahead - (ahead @ up) * up
     length = float(np.linalg.norm(ahead))
@@ -181,16 +188,6 @@ def presence_from(world: WorldFrame, number: int) -> Presence:
     ((presence, _),) = presences(PosedView.of(world.frame, world.pose), [world.made.voxels.of(number)])
     # Nobody has looked for objects in an imagined picture.
     return "seen" if presence == "missed" else presence
-
-
-def _world_up(pipeline: Pipeline, made: ObjectMap) -> np.ndarray:
-    """Up of the scene, (3,), world: the mean over its frames."""
-    ups = []
-    for frame_id in made.frame_ids[:UP_FRAMES]:
-        viewer = pipeline.prepare(frame_id).viewer
-        ups.append(made.poses[frame_id][:3, :3] @ viewer.up)
-    up = np.mean(ups, axis=0)
-    return up / np.linalg.norm(up)
 
 
 def _bbox(points: np.ndarray, camera: Camera) -> np.ndarray:

@@ -16,7 +16,7 @@ import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif.answer_view import ExtraBox
 from pipeline.diagnosis.whatif.state import CameraView
-from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
+from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines, half_dashed
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.cloud import Cloud, nearest_distance, viewpoint
 from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, hex_color, palette
@@ -95,6 +95,7 @@ class SceneView:
                 lines(f"/boxes/{name}", edges_of(members), colors[role], LINE_WIDTH[role])
             chosen = [i for i in (state.selected,) if i in self._boxed and i not in state.roles]
             lines("/boxes/selected", edges_of(chosen), (255, 255, 255), LINE_WIDTH["target"])
+            self._draw_whole(state, colors)
             annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations
             truth = [self.shown_box(a.box) for a in annotated if a.box is not None]
             lines("/boxes/truth", edge_lines(truth, dashes=True), colors["truth"], LINE_WIDTH["other"])
@@ -103,6 +104,15 @@ class SceneView:
             ghosts = state.ghosts if flags.ghosts else ()
             tags = self._draw_axes(state) + self._draw_ghosts(ghosts, state, colors)
             return tags + self._draw_tags(state, role_of, colors, {ghost.of for ghost in ghosts})
+
+    def _draw_whole(self, state: State, colors: Mapping[Role, RGB]) -> None:
+        """Whole box of the selected object, in dashes where it is not sure."""
+        i, edges = state.selected, np.zeros((0, 2, 3))
+        whole = None if i is None or i not in self._boxed else state.shown.objects[i].estimated
+        if whole is not None:
+            edges = half_dashed(self.shown_box(whole.box), whole.unsure)
+        color = (255, 255, 255) if i is None or i not in state.roles else colors[state.roles[i]]
+        self._client.lines("/boxes/whole", edges, color, LINE_WIDTH["other"])
 
     def _draw_ghosts(self, ghosts: Sequence[ExtraBox], state: State, colors: Mapping[Role, RGB]) -> list[Tag]:
         """Extra boxes beside the answer's, slightly larger and in dashes; one of the same thing has the same name."""

@@ -119,6 +119,9 @@ def _facts(state: State, i: int) -> Element:
     if lifted.box is not None:
         width, height, depth = lifted.box.size
         facts["size"] = f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"
+        if (whole := entry.estimated) is not None:
+            edges = " × ".join(f"{edge:.2f}" for edge in whole.box.size)
+            facts["whole box"] = f"{edges} m, by {whole.by}, ± {100 * whole.within:.0f} cm"
         facts["distance"] = f"{quality.distance:.2f} m · ", term("yaw"), f" confidence {lifted.yaw_confidence:.2f}"
     if lifted.open_sides:
         sides = term("open sides", ", ".join(lifted.open_sides))

@@ -168,6 +168,16 @@ def test_foreign_networks_are_refused(tmp_path: Path, told: dict[str, str], word
         BoxNetwork(tmp_path / "b.onnx")
 
 
+def test_sides_are_unsure_by_centimetres_or_by_their_share_of_the_box() -> None:
+    box = Box3D(np.array([0, 0, 2.0]), np.eye(3), np.array([0.1, 1.0, 1.0]))
+    interval = {"left": (-0.01, 0.02), "top": (-0.02, 0.02), "far": (0.0, 0.2)}
+    found = CompletedBox(box, box, ("far",), interval)  # type: ignore[arg-type]
+    assert found.unsure == ("left", "far")
+    assert found.within == 0.1
+    assert (found.by, replace(found, views=3).by) == ("the network", "3 views")
+    assert CompletedBox(box, box).within == 0
+
+
 def test_configuration_gives_objects_whole_boxes_and_leaves_relations() -> None:
     seen, whole = (
         open_pipeline(DEMO_NAME, config=AskConfig(lift=LiftConfig(boxes=boxes))) for boxes in ("seen", "completed")
@@ -182,6 +192,7 @@ def test_configuration_gives_objects_whole_boxes_and_leaves_relations() -> None:
         if b.whole is not None:
             assert b.whole.seen is b.box
             assert b.size_box is b.whole.box
+            assert b.estimated is (b.whole if b.whole.completed else None)
             assert object_record(b)["whole"]["completed"] == list(b.whole.completed)
             completed += bool(b.whole.completed)
     assert completed

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry import Box3D, Camera, LiftConfig, LiftedObject, ViewerAxes, intrinsics, lift, viewer_axes
-from pipeline.geometry.boxes import EDGES, OPEN_GAP, SIDES, drawn_edges, edge_lines
+from pipeline.geometry.boxes import EDGES, OPEN_GAP, SIDES, drawn_edges, edge_lines, edges_of, half_dashed
 from pipeline.geometry.open_sides import open_sides
 
 WIDTH, HEIGHT = 640, 480
@@ -166,3 +166,14 @@ def test_dashes_draw_every_corner_and_half_of_each_edge(size: tuple[float, float
     for corner in box.corners:
         assert np.linalg.norm(cut.reshape(-1, 3) - corner, axis=1).min() < 1e-5
     assert np.isfinite(edge_lines([], dashes=True)).all()
+
+
+def test_edges_of_unsure_sides_are_dashed() -> None:
+    box = Box3D(np.array([0, 0, 2.0]), np.eye(3), np.array([1.0, 0.5, 0.8]))
+    assert edges_of(("near",)).sum() == 4
+    assert edges_of(("near", "left")).sum() == 7
+    np.testing.assert_array_equal(half_dashed(box, ()), box.corners[EDGES].astype(np.float32))
+    lines = half_dashed(box, ("far",))
+    dashes = lines[8:]
+    np.testing.assert_allclose(dashes[..., 2], 2.4, atol=1e-6)
+    assert len(dashes) > 8

@@ -3,11 +3,16 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.objects import all_objects
 from pipeline.answering.pipeline import open_pipeline
 from pipeline.corrections.sightings import Sightings
+from pipeline.geometry import LiftConfig
 from pipeline.labels import LabelConfig, Labels, SourceSpec, label_dataset, open_labels
+from pipeline.labels.instances import open_instances
 from pipeline.scenes.map_files import read_map, save_map
 from pipeline.scenes.object_map import map_scene
 from pipeline.scenes.views import posed_frames
@@ -55,6 +60,24 @@ def test_an_object_is_followed_from_frame_to_frame(labels: Labels) -> None:
     assert sightings.beside(FRAMES[1], found[1].number, -1) == found[0]
     assert sightings.beside(FRAMES[2], found[2].number, 1) is None
     assert sightings.of("000002/000000", 0) == ()
+
+
+def test_sizes_of_labels_are_of_the_boxes_that_the_views_of_a_scene_tell(maps: Path) -> None:
+    pipeline = open_pipeline("demo", config=AskConfig(lift=LiftConfig(boxes="completed")))
+    detector, made = pipeline.needed_detector(), read_map(maps / "000001.npz")
+    prepared = pipeline.prepare(FRAMES[0])
+    seen = all_objects(prepared, detector)
+    instances = open_instances(str(maps), detector)
+    found = instances.completed(FRAMES[0], seen, detector.exact, prepared.viewer)
+    for one, other in zip(seen, found, strict=True):
+        entry = made.of_object(FRAMES[0], one.id)
+        assert entry is not None
+        assert other.whole is not None
+        assert other.whole.views == len(entry.numbers)
+        assert (other.lifted, other.held) == (one.lifted, one.held)
+        if other.whole.views > 1:
+            np.testing.assert_allclose(np.sort(other.size_box.size), np.sort(made.boxes[entry.id].box.size))  # type: ignore[union-attr]
+    assert instances.completed("000002/000000", seen, detector.exact, prepared.viewer) == seen
 
 
 def test_a_map_changes_the_plan_and_none_does_not(maps: Path) -> None:

@@ -126,10 +126,11 @@ def test_a_damaged_map_is_refused_in_a_line(small: ObjectMap, tmp_path: Path) ->
         members = {name: arrays[name] for name in arrays.files}
     text = bytes(members["table"])
     for name, value in {
-        "table": np.frombuffer(text.replace(b'"version": 1', b'"version": 9'), np.uint8),
+        "table": np.frombuffer(text.replace(b'"version": 2', b'"version": 9'), np.uint8),
         "pairs": members["pairs"][::-1],
         "counts": members["counts"].astype(np.float64),
         "poses": members["poses"][:1],
+        "boxes": members["boxes"][1:],
     }.items():
         np.savez(path, **{**members, name: value})
         with pytest.raises(InputError, match="map"):
