@@ -142,6 +142,20 @@ def test_a_damaged_map_is_refused_in_a_line(small: ObjectMap, tmp_path: Path) ->
         read_maps(tmp_path / "nowhere")
 
 
+def test_a_map_of_the_first_version_opens_without_boxes_and_is_made_anew(small: ObjectMap, tmp_path: Path) -> None:
+    path = save_map(small, tmp_path)
+    with np.load(path) as arrays:
+        members = {name: arrays[name] for name in arrays.files if name != "boxes"}
+    text = bytes(members["table"]).replace(b'"version": 2', b'"version": 1')
+    np.savez(path, **{**members, "table": np.frombuffer(text, np.uint8)})
+    read = read_map(path)
+    assert read.objects == small.objects
+    assert [one["box"] for one in map_record(read)["objects"]] == [None]
+    pipeline = boxes_at([{"box": A}] * 2)
+    again = map_scene(pipeline, "a/b", pipeline.dataset.frame_ids, known=read)
+    assert map_record(again) == map_record(small)
+
+
 def test_memory_is_that_of_the_surfaces_however_many_frames_show_them() -> None:
     rng = np.random.default_rng(1)
     points, owners = rng.uniform(-1, 1, (2_000, 3)), rng.integers(BACKGROUND, 4, 2_000)
