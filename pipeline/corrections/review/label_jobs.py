@@ -51,6 +51,8 @@ Step = tuple[str, int, int]
 """What is asked ("networks"), how many are done, of how many."""
 CANCELLED = "cancelled"
 """The problem of what was stopped."""
+MOST_COMPARED = 300
+"""Masks of more frames are not compared with those of other views: each takes a third of a second."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,9 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> tuple[pa.Table,
 
 
 def _masks(job: QueueJob, labels: Labels) -> OtherMasks | None:
-    """Comparison of the masks; None where the labels or the dataset allow none."""
+    """Comparison of the masks; None for many frames, or where the labels or the dataset allow none."""
+    if labels.frames.num_rows > MOST_COMPARED:
+        return None
     with suppress(InputError):
         return other_masks(labels, job.corrected_dataset(labels))
     return None

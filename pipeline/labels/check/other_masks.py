@@ -71,7 +71,7 @@ class OtherMasks:
         self.frames.append(MaskedFrame(view.id, view.size, own, tuple(view.labels[k] for k in known)))
 
     def findings(self) -> Iterator[Finding]:
-        """Find masks of the scene's frames that other frames contradict; InputError for pictures of another size."""
+        """Find masks of the scene's frames that other frames contradict."""
         frames, self.frames = self.frames, []
         if len(frames) <= LEAST_SOURCES:
             return
@@ -97,21 +97,13 @@ class OtherMasks:
         return {}
 
     def _view(self, frame: MaskedFrame, poses: Mapping[str, np.ndarray]) -> LabelledView | None:
-        """View of a frame; None for a broken one, or one without a pose."""
+        """View of a frame; None for a broken one, one without a pose, or of another size than its labels."""
 
         def made() -> LabelledView | None:
-            try:
+            with suppress(InputError):
                 view = PosedView.of(load_picture(self.dataset, frame.id), poses.get(frame.id))
-            except InputError:
-                return None
-            require(
-                view.size == frame.size,
-                f"the picture of frame {frame.id} is not of the labels' size",
-                got=view.size,
-                expected=frame.size,
-                path=self.dataset.root,
-            )
-            return LabelledView(view, frame.masks)
+                return LabelledView(view, frame.masks) if view.size == frame.size else None
+            return None
 
         return self.views.get(frame.id, made)
 
@@ -119,7 +111,8 @@ class OtherMasks:
 def other_masks(labels: Labels, dataset: Dataset | None) -> OtherMasks:
     """Start a comparison of the masks of labels, for one check, under the poses of the map that they were made with.
 
-    InputError without the dataset, or for labels without objects that are numbered alike in three frames of a scene.
+    InputError without the dataset, for a first picture of another size than its labels, or for labels without objects
+    that are numbered alike in three frames of a scene.
     """
     require(
         comparable(labels),
@@ -128,6 +121,18 @@ def other_masks(labels: Labels, dataset: Dataset | None) -> OtherMasks:
         path=labels.root,
     )
     dataset = needed(dataset, "masks are compared by the pictures' depth: the dataset is needed")
+    first = labels.frames.slice(0, 1).to_pylist()[0]
+    size = found = first["height"], first["width"]
+    with suppress(InputError):
+        # A broken frame is left out, as later ones are.
+        found = load_picture(dataset, first["frame"]).rgb.shape[:2]
+    require(
+        found == size,
+        f"the picture of frame {first['frame']} is not of the labels' size",
+        got=found,
+        expected=size,
+        path=dataset.root,
+    )
     maps = labels.manifest.config.get("map")
     return OtherMasks(dataset, Path(str(maps)) if maps else None)
 
