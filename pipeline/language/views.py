@@ -46,28 +46,28 @@ def _viewpoints() -> list[re.Pattern[str]]:
 
 
 @dataclass(frozen=True)
-class Viewpoint:
+class SpokenViewpoint:
     """Somebody's place and direction, each by the name of a thing."""
 
     at: str
     facing: str | None  # None where it is not said: then the reference is faced
 
 
-def spoken_viewpoint(text: str) -> tuple[str, Viewpoint | None]:
+def spoken_viewpoint(text: str) -> tuple[str, SpokenViewpoint | None]:
     """Split an expression into what is asked and the viewpoint it is asked from; None for none, or the camera's.
 
     Raises InputError as `check_text`.
 
     >>> spoken_viewpoint("standing at the door, facing the window, the chair left of the table")
-    ('the chair left of the table', Viewpoint(at='door', facing='window'))
+    ('the chair left of the table', SpokenViewpoint(at='door', facing='window'))
     >>> spoken_viewpoint("the chair left of the table, as seen from the sofa")
-    ('the chair left of the table', Viewpoint(at='sofa', facing=None))
+    ('the chair left of the table', SpokenViewpoint(at='sofa', facing=None))
     """
     text = check_text(text)
     for pattern in _viewpoints():
         found = pattern.fullmatch(text)
         if found is not None and found["at"].split()[-1].casefold() not in lexicon.NO_PLACES:
-            return found["rest"], Viewpoint(found["at"], found.groupdict().get("facing"))
+            return found["rest"], SpokenViewpoint(found["at"], found.groupdict().get("facing"))
     return text, None
 
 

@@ -9,12 +9,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pipeline.language import parse
-from pipeline.language.views import Viewpoint, spoken_viewpoint
+from pipeline.language.views import SpokenViewpoint, spoken_viewpoint
 from pipeline.system import InputError
 from pipeline.system.errors import Unsupported
 
 ASKED = "the chair left of the table"
-BOTH, ONE = Viewpoint("door", "window"), Viewpoint("door", None)
+BOTH, ONE = SpokenViewpoint("door", "window"), SpokenViewpoint("door", None)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ BOTH, ONE = Viewpoint("door", "window"), Viewpoint("door", None)
         (f"from the perspective of the door, {ASKED}", ONE),
     ],
 )
-def test_a_viewpoint_is_split_off_and_needs_a_map(text: str, found: Viewpoint) -> None:
+def test_a_viewpoint_is_split_off_and_needs_a_map(text: str, found: SpokenViewpoint) -> None:
     assert spoken_viewpoint(text) == (ASKED, found)
     with pytest.raises(Unsupported, match=r"with a map of the scene: `ask --world`"):
         parse(text)

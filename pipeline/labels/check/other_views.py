@@ -44,7 +44,7 @@ class SurestState:
 
 
 @dataclass
-class Place:
+class PlaceInView:
     """A place of an object in the world, and the views that show it there."""
 
     center: np.ndarray  # (3,), mean of the views', world, metres
@@ -66,7 +66,7 @@ class OtherViews:
     counts: defaultdict[tuple[str, int, str], int] = field(default_factory=lambda: defaultdict(int))
     states: dict[tuple[str, int, int, str], dict[int, SurestState]] = field(default_factory=dict)
     """By scene, instances and relation: the surest sighting of T and of F."""
-    places: dict[tuple[str, int], list[Place]] = field(default_factory=dict)
+    places: dict[tuple[str, int], list[PlaceInView]] = field(default_factory=dict)
 
     def add(self, view: FrameView) -> None:
         """Take the objects and relations of a frame in."""
@@ -102,7 +102,7 @@ class OtherViews:
             places = self.places.setdefault((scene, int(view.objects["instance"][k])), [])
             place = next((p for p in places if p.holds(centers[k], longest[k])), None)
             if place is None:
-                place = Place(centers[k], float(longest[k]))
+                place = PlaceInView(centers[k], float(longest[k]))
                 places.append(place)
             place.views += 1
             place.center = place.center + (centers[k] - place.center) / place.views
@@ -154,7 +154,7 @@ class OtherViews:
                 )
 
 
-def _misplaced(places: list[Place]) -> Iterator[Finding]:
+def _misplaced(places: list[PlaceInView]) -> Iterator[Finding]:
     """Find views of an object that most other views place elsewhere, of three or more."""
     most, others = max(places, key=lambda p: p.views), sum(p.views for p in places) - 1
     for place in places if others > 1 and 2 * most.views > others else ():
