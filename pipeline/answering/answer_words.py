@@ -199,8 +199,8 @@ _FIRST = {
 def reading_notes(trace: Trace) -> tuple[str, ...]:
     """Notes for an answer, a line each, without repeats.
 
-    A comparison decides between two; of more the first in order is taken, with their number told. Sizes and heights are
-    those of the part of each object seen by the camera.
+    A comparison decides between two; of more the first in order is taken, with their number told. Heights, and sizes
+    without completed boxes, are those of the part of each object seen by the camera.
     """
     return tuple(dict.fromkeys(note for node in trace.root.walk() for note in _of_node(trace, node)))
 
@@ -227,5 +227,10 @@ def _of_node(trace: Trace, node: Node) -> Iterator[str]:
     lifted = [thing for thing in things if thing.lifted.quality.points]
     cut = sum(thing.lifted.quality.touches_border for thing in lifted)
     border = f"; {cut} of {len(things)} are cut by the border of the picture" if cut else ""
+    completed = sum(thing.estimated is not None for thing in lifted)
+    if completed:
+        for text in dict.fromkeys(sizes):
+            yield f"'{text}' goes by whole boxes, of which {completed} of {len(things)} are estimated beyond what is seen"
+        sizes = []
     for text in dict.fromkeys((*sizes, *heights)) if lifted else ():
         yield f"'{text}' goes by the part of each thing that is seen, not by the whole{border}"

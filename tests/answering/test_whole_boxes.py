@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from needs import needs
 
+from pipeline.answering.answer_words import reading_notes
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.json_records import object_record
 from pipeline.answering.objects import all_objects, prepare_frame
@@ -197,3 +198,14 @@ def test_configuration_gives_objects_whole_boxes_and_leaves_relations() -> None:
             completed += bool(b.whole.completed)
     assert completed
     assert shipped_box_network() is shipped_box_network()
+
+
+def test_a_size_says_by_which_boxes_it_goes() -> None:
+    asked = "the tallest potted plant left of the laptop"
+    notes = {}
+    for boxes in ("seen", "completed"):
+        pipeline = open_pipeline(DEMO_NAME, config=AskConfig(boxes=boxes))
+        notes[boxes] = " ".join(reading_notes(pipeline.ask(0, asked)))
+    assert "goes by the part of each thing that is seen" in notes["seen"]
+    assert "goes by whole boxes, of which 3 of 3 are estimated" in notes["completed"]
+    assert "that is seen, not by the whole" not in notes["completed"]
