@@ -230,7 +230,7 @@ def _of_node(trace: Trace, node: Node) -> Iterator[str]:
     completed = sum(thing.estimated is not None for thing in lifted)
     if completed:
         for text in dict.fromkeys(sizes):
-            yield f"'{text}' goes by whole boxes, of which {completed} of {len(things)} are estimated beyond what is seen"
+            yield f"'{text}' goes by whole boxes: {completed} of {len(things)} are estimated beyond what is seen"
         sizes = []
     for text in dict.fromkeys((*sizes, *heights)) if lifted else ():
         yield f"'{text}' goes by the part of each thing that is seen, not by the whole{border}"

@@ -204,8 +204,8 @@ def test_a_size_says_by_which_boxes_it_goes() -> None:
     asked = "the tallest potted plant left of the laptop"
     notes = {}
     for boxes in ("seen", "completed"):
-        pipeline = open_pipeline(DEMO_NAME, config=AskConfig(boxes=boxes))
+        pipeline = open_pipeline(DEMO_NAME, config=AskConfig(lift=LiftConfig(boxes=boxes)))
         notes[boxes] = " ".join(reading_notes(pipeline.ask(0, asked)))
     assert "goes by the part of each thing that is seen" in notes["seen"]
-    assert "goes by whole boxes, of which 3 of 3 are estimated" in notes["completed"]
+    assert "goes by whole boxes: 3 of 3 are estimated" in notes["completed"]
     assert "that is seen, not by the whole" not in notes["completed"]
