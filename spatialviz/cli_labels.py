@@ -12,6 +12,7 @@ from spatialviz.options import (
     ALL_FRAMES,
     CPUS,
     Box,
+    Boxes,
     DatasetArg,
     DatasetOptions,
     Flag,
@@ -80,6 +81,7 @@ class LabelCommand(Output):
     map: str = ""
     """Folder of object maps that `map` wrote: objects get their ids in them (`instance`), `check` compares views."""
     box: Box = "upright"
+    boxes: Boxes = "seen"
     seed: int = 0
     """The same seed gives the same labels."""
     engine: Literal["local", "ray"] = "local"

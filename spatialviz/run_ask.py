@@ -54,7 +54,7 @@ def run_ask(command: AskCommand) -> int:
     if command.map is not None:
         from pipeline.diagnosis.not_seen import open_scene_maps
 
-        maps = open_scene_maps(command.map)
+        maps = open_scene_maps(command.map, pipeline.dataset)
     for answer in ask_and_judge(pipeline, command.frame, command.expressions, labels, warn_skipped, **known):
         answer = answer if maps is None else maps.answered(answer)
         trace = answer.needed_trace()

@@ -24,7 +24,7 @@ def run_label(command: LabelCommand) -> int:
     config = LabelConfig(
         profile=command.profile,
         vocabulary=command.vocabulary,
-        lift=LiftConfig(box=command.box),
+        lift=LiftConfig(box=command.box, boxes=command.boxes),
         style=command.style,
         seed=command.seed,
         second_opinion=command.second_opinion,

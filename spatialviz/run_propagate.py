@@ -54,7 +54,7 @@ def print_proposals(found: Sequence[FrameProposals]) -> None:
     rows = [
         (
             p.frame,
-            f"{p.label}·{p.number}",
+            p.label if p.new else f"{p.label}·{p.number}",
             "new" if p.new else ", ".join(e.ref.field for e in p.edits) or "nothing",
             f"{p.source_number}",
             "-" if p.new else figure(p.iou, ".2f"),

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.datasets.base import scene_of, scenes_of
 from pipeline.language.counted import counted
+from pipeline.scenes.joining import LEAST_SEEN
 from pipeline.scenes.map_files import map_path, read_map, save_map
 from pipeline.scenes.move_check import RobotMove, robot_moves
 from pipeline.scenes.object_map import ObjectMap, map_record, map_scene
@@ -91,8 +92,12 @@ def print_map(made: ObjectMap, driven: Sequence[RobotMove] = ()) -> None:
     counts = (">seen", ">hidden", ">out", ">missed", ">gone")
     print_rows((">id", "object", "whole box, m", "by", *counts, "state", "also called"), rows)
     doubtful = (
-        f"doubtful: {j.label}·{j.number} of {j.frame_id} as {j.object_id}: IoU {j.iou:.2f}, of the next best "
-        f"{j.second:.2f}, over {j.known:.0%} of its pixels, which were seen before"
+        f"doubtful: {j.label} {j.number} of {j.frame_id} is {j.object_id}: "
+        + (
+            f"only {j.known:.0%} of its pixels show places that were seen before"
+            if j.known < LEAST_SEEN
+            else f"IoU {j.iou:.2f}, and {j.second:.2f} with the next best"
+        )
         for j in made.joins
         if j.doubtful
     )

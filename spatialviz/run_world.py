@@ -8,13 +8,13 @@ from pipeline.answering.ask import Trace
 from pipeline.datasets.base import resolve_frame, scene_of
 from pipeline.diagnosis.asking import judged
 from pipeline.language.counted import counted
-from pipeline.scenes.map_files import map_path, read_map
+from pipeline.scenes.map_files import check_map, map_path, read_map
 from pipeline.scenes.object_map import Presence, map_scene
 from pipeline.scenes.views import posed_frames
 from pipeline.scenes.world_frame import WorldFrame, ask_world, asked_from, from_frame, imagined, presence_from
 from pipeline.system.errors import require
 from spatialviz.cli_ask import WorldCommand
-from spatialviz.options import ALL_FRAMES, FINE, NO
+from spatialviz.options import ALL_FRAMES, FINE, NO, warn
 from spatialviz.printing import say, say_lines
 from spatialviz.run_ask import print_answer
 
@@ -41,6 +41,7 @@ def run_world(command: WorldCommand) -> int:
         path = map_path(command.map, scene)
         require(path.is_file(), f"there is no map of the scene {scene}", expected="spatialviz map DATASET", path=path)
         made = read_map(path)
+        require(check_map(made, pipeline.dataset, path), "the map is of another dataset's frames", path=path)
     if command.standing_at is None or command.facing is None:
         given = from_frame(pipeline, made, frame_id)
     else:
@@ -53,6 +54,8 @@ def run_world(command: WorldCommand) -> int:
         answer = judged(trace, pipeline, world, None)
         answered += answer.holds is True
         told = seen_from(world, trace)
+        if not command.json:
+            warn(*world.notes)
         command.write(answer.record() | {"world": told}, print_answer, answer, trace)
         if not command.json:
             say_lines(
@@ -74,4 +77,4 @@ def seen_from(world: WorldFrame, trace: Trace) -> dict[str, Any]:
             own = next(o for o in world.made.objects if o.id == trace.objects[index].id)
             presence = presence_from(world, own.id)
             found[role] = {"id": own.id, "name": trace.name(index), "presence": presence, "frames": sorted(own.numbers)}
-    return {"scene": world.made.scene, "viewpoint": world.frame.id, "objects": found}
+    return {"scene": world.made.scene, "viewpoint": world.frame.id, "notes": list(world.notes), "objects": found}

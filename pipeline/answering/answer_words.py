@@ -227,10 +227,10 @@ def _of_node(trace: Trace, node: Node) -> Iterator[str]:
     lifted = [thing for thing in things if thing.lifted.quality.points]
     cut = sum(thing.lifted.quality.touches_border for thing in lifted)
     border = f"; {cut} of {len(things)} are cut by the border of the picture" if cut else ""
-    completed = sum(thing.estimated is not None for thing in lifted)
-    if completed:
-        for text in dict.fromkeys(sizes):
-            yield f"'{text}' goes by whole boxes: {completed} of {len(things)} are estimated beyond what is seen"
+    if any(thing.whole is not None for thing in lifted):
+        completed = sum(thing.whole is not None and bool(thing.whole.completed) for thing in lifted)
+        beyond = f": {completed} of {len(things)} are estimated beyond what is seen" if completed else ""
+        yield from (f"'{text}' goes by whole boxes{beyond}" for text in dict.fromkeys(sizes))
         sizes = []
     for text in dict.fromkeys((*sizes, *heights)) if lifted else ():
         yield f"'{text}' goes by the part of each thing that is seen, not by the whole{border}"

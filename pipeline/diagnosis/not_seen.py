@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.datasets.base import Dataset
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.verdict import NOT_SEEN, Diagnosis, Unseen
 from pipeline.geometry.camera import to_world
@@ -73,9 +74,9 @@ class SceneMaps:
         return found
 
 
-def open_scene_maps(folder: str | Path) -> SceneMaps:
-    """Read the maps of a folder that `spatialviz map` wrote; errors as of `read_maps`."""
-    return SceneMaps(read_maps(Path(folder)))
+def open_scene_maps(folder: str | Path, dataset: Dataset | None = None) -> SceneMaps:
+    """Read the maps of a folder that `spatialviz map` wrote, of a dataset if told; errors as of `read_maps`."""
+    return SceneMaps(read_maps(Path(folder), dataset))
 
 
 def _wanted(d: Diagnosis) -> np.ndarray:
@@ -105,4 +106,6 @@ def _unseen(made: ObjectMap, frame_id: str, name: str, objects: Sequence[WorldOb
     own = max(found, key=lambda o: len(o.numbers))
     here = made.poses[frame_id][:3, 3]
     frames = sorted(own.numbers, key=lambda other: float(np.linalg.norm(made.poses[other][:3, 3] - here)))
+    # What was meant may be called otherwise here: what is said is of the thing.
+    name = name if same_class(own.label, name) else own.label
     return Unseen(name, own.id, own.presence[frame_id].upper(), tuple(frames[:NEAREST]))

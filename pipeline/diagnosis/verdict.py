@@ -205,7 +205,7 @@ class Missed:
 class Unseen:
     """Object of a scene that a frame does not show, by the scene's object map."""
 
-    name: str  # As asked
+    name: str  # As asked, or what was meant by it
     object: int  # Id in the map
     detail: str  # OUT: outside the picture; HIDDEN: behind something, or nothing was measured there
     frames: tuple[str, ...]  # Frames that see it, by the distance of their cameras, nearest first

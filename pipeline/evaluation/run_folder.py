@@ -133,7 +133,7 @@ def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> 
     case = needed(case, f"the labels have no expression {expression} of frame {frame}", path=root)
     mark, context = spec.marks.get((frame, expression)), source.prepare(frame)
     found = answer(source, context, case.text, truth=truth, case=case, mark=mark, confidence=spec.confidence)
-    maps = spec.maps
+    maps = spec.maps(source.dataset)
     return replace(found if maps is None else maps.answered(found), origin=opened)
 
 
@@ -210,7 +210,7 @@ class Run(InNotebook):
     @cached_property
     def maps(self) -> SceneMaps | None:
         """The object maps; errors as of `open_scene_maps`."""
-        return self.spec.maps
+        return self.spec.maps()
 
     def failures(self, search: str = "") -> Failures:
         """Expressions found by a search, as by `spatialviz failures`: "verdict:SRM relation:behind margin<0.1"; without

@@ -137,10 +137,9 @@ class EvalSpec:
         """Open the dataset with the models, and the labels."""
         return open_source(self.dataset, **self.options), open_labels(self.labels)
 
-    @property
-    def maps(self) -> SceneMaps | None:
+    def maps(self, dataset: Dataset | None = None) -> SceneMaps | None:
         """Object maps, read anew; errors as of `open_scene_maps`."""
-        return None if self.map is None else open_scene_maps(self.map)
+        return None if self.map is None else open_scene_maps(self.map, dataset)
 
 
 def context_of(
@@ -185,7 +184,7 @@ class OwnPipeline:
         return self, ()
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
-        class_names, maps = class_names_of(labels), spec.maps
+        class_names, maps = class_names_of(labels), spec.maps(source.dataset)
         parsed: dict[str, tuple[Query | None, InputError | None]] = {}
 
         def records(truth: FrameCases, given: PreparedFrame | None) -> list[dict[str, Any]]:
@@ -248,7 +247,8 @@ class ImportedPredictions:
         return self, ()
 
     def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
-        class_names, file, maps = class_names_of(labels), file_of(source), spec.maps
+        class_names, file = class_names_of(labels), file_of(source)
+        maps = spec.maps(source.dataset)
 
         def records(truth: FrameCases, given: PreparedFrame | None) -> list[dict[str, Any]]:
             cases = tuple(c for c in truth.cases if file.line(truth.frame, c.text) is not None)

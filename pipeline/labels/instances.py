@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
+from pipeline.datasets.base import Dataset
 from pipeline.geometry.masks import LazyMask
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.proposals.base import Detector
@@ -45,11 +46,11 @@ class Instances:
         return tuple(out)
 
 
-def open_instances(folder: str, detector: Detector) -> Instances:
-    """Read the maps of a folder; InputError for none, or for maps of another detector's objects."""
+def open_instances(folder: str, detector: Detector, dataset: Dataset) -> Instances:
+    """Read the maps of a folder; InputError for none, for another dataset's, or another detector's objects."""
     found: dict[str, dict[int, int]] = {}
     maps: dict[str, ObjectMap] = {}
-    for scene, made in read_maps(Path(folder)).items():
+    for scene, made in read_maps(Path(folder), dataset).items():
         # What follows the bar is of masks, and changes no numbers.
         by, own = (text.partition("|")[0] for text in (made.settings.get("detector", ""), detector.fingerprint()))
         require(by == own, f"the map of {scene} is of another detector's objects", got=by, expected=own, path=folder)

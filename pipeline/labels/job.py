@@ -87,7 +87,7 @@ class Labeller:
 def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
     """Open the dataset and the models of a plan; raises as `open_pipeline`."""
     source = spec.open(config)
-    instances = open_instances(config.map, source.needed_detector()) if config.map else None
+    instances = open_instances(config.map, source.needed_detector(), source.dataset) if config.map else None
     return Labeller(config, source, open_second_opinion(config.second_opinion), instances)
 
 
@@ -349,7 +349,8 @@ def label_dataset(
     plan = make_plan(spec.absolute(), config, **chosen, out=out, like=like)
     open_second_opinion(config.second_opinion)
     if config.map:
-        open_instances(config.map, plan.spec.open(config).needed_detector())
+        opened = plan.spec.open(config)
+        open_instances(config.map, opened.needed_detector(), opened.dataset)
     if engine == "ray":
         extra_module("ray.data", "the engine ray", "cluster")
 

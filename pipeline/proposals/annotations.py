@@ -30,6 +30,7 @@ class AnnotationDetector:
 
     name = "annotations"
     exact = True
+    where = "the dataset"
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:
@@ -41,7 +42,7 @@ class AnnotationDetector:
     def _meant(self, label: str, known: Sequence[str], here: Sequence[str]) -> tuple[str, ...]:
         """Classes of a name in the whole dataset, else in the frame, so that "box" means the same classes in every
         frame."""
-        meant = meant_names(label, known, self.synonyms, "the dataset")
+        meant = meant_names(label, known, self.synonyms, self.where)
         return meant if any(n in here for n in meant) else match(label, here, self.synonyms)
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:

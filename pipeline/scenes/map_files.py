@@ -11,6 +11,8 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from pipeline.datasets.base import Dataset, load_pose
+from pipeline.datasets.cameras import or_note
 from pipeline.scenes.joining import Join, Joining
 from pipeline.scenes.object_map import ObjectMap, WorldObject
 from pipeline.scenes.poses import PoseAgreement, Refinement
@@ -130,10 +132,32 @@ def read_map(path: Path) -> ObjectMap:
     )
 
 
-def read_maps(folder: Path) -> dict[str, ObjectMap]:
-    """Read all maps of a folder, by scene, in the order of names; InputError for none, or a broken one."""
+def check_map(made: ObjectMap, dataset: Dataset, path: Path) -> bool:
+    """Tell a map of the dataset's frames from one of others; InputError for other poses, or if only some are known."""
+    known = set(dataset.frame_ids)
+    absent = [i for i in made.declared if i not in known]
+    if len(absent) == len(made.declared):
+        return False
+    again = "make it anew: spatialviz map DATASET --out MAP"
+    require(not absent, "the map has frames that the dataset lacks", got=absent[:3], expected=again, path=path)
+    for i, pose in made.declared.items():
+        now = or_note([], "", load_pose, dataset, i)
+        same = now is not None and np.array_equal(now, pose)
+        require(same, f"the map was made with another pose of frame {i}", expected=again, path=path)
+    return True
+
+
+def read_maps(folder: Path, dataset: Dataset | None = None) -> dict[str, ObjectMap]:
+    """Read the maps of a folder, by scene, in the order of names; of a dataset only those of its scenes.
+
+    InputError for none, a broken one, or as of `check_map`.
+    """
     paths = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
     require(
         paths, "the folder holds no object map", expected="what `spatialviz map DATASET --out MAP` wrote", path=folder
     )
-    return {unquote(path.name.removesuffix(SUFFIX)): read_map(path) for path in paths}
+    found = {unquote(path.name.removesuffix(SUFFIX)): read_map(path) for path in paths}
+    if dataset is not None:
+        found = {k: made for k, made in found.items() if check_map(made, dataset, map_path(folder, k))}
+        require(found, "the folder holds maps of another dataset", expected=f"maps of {dataset.root}", path=folder)
+    return found

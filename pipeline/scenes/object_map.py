@@ -285,7 +285,12 @@ def map_record(made: ObjectMap) -> dict[str, Any]:
         "scene": made.scene,
         "reference": {"frame": "world", "unit": "m", "up": np.round(made.up, 6).tolist() if boxes else None},
         "frames": list(made.frame_ids),
-        "objects": [{**_plain(o), "state": o.state, "box": boxes.get(o.id)} for o in made.objects],
+        "objects": [
+            {**_plain(o), "state": o.state, "box": boxes.get(o.id)}
+            # Without depth it has no place.
+            | ({} if o.places else dict.fromkeys(("center", "low", "high")))
+            for o in made.objects
+        ],
         "joins": [{**_plain(j), "doubtful": j.doubtful} for j in made.joins],
         "poses": [{**_plain(p), "agree": None if p.agree is None else round(p.agree, 4)} for p in made.agreements],
         "refinements": [{**_plain(r), "better": r.better} for r in made.refinements],

@@ -82,10 +82,13 @@ class SceneViews:
 def bad_poses(agreements: Sequence[PoseAgreement]) -> dict[str, str]:
     """Reasons, by frame, to leave out the frames whose pose does not fit the others."""
     reasons: dict[str, str] = {}
-    for judged, least in ((typical_fits(agreements), 0.0), (fits(agreements), LEAST_AGREE)):
+    for most, judged, least in (
+        ("mostly", typical_fits(agreements), 0.0),
+        ("at best", fits(agreements), LEAST_AGREE),
+    ):
         usual = misfits(list(judged.values()), least)
         for i, agree in judged.items():
             if agree < usual:
-                what = f"{agree:.2f} of what other frames see too agrees, usual is {usual:.2f} and more"
+                what = f"{most} {agree:.2f} of what another frame sees too agrees, usual is {usual:.2f} and more"
                 reasons[i] = f"its pose does not fit: {what}"
     return reasons

@@ -6,6 +6,7 @@ viewer's, as everywhere; what is not visible from there has its points from the 
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -22,11 +23,12 @@ from pipeline.language.naming import match
 from pipeline.language.views import spoken_viewpoint
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector, Proposals
-from pipeline.scenes.object_map import ObjectMap, Presence, WorldObject, presences
+from pipeline.scenes.object_map import LEAST_SURFACE, ObjectMap, Presence, WorldObject, presences
 from pipeline.scenes.views import PosedView
 from pipeline.scenes.voxels import VOXEL_M, centers_of
 from pipeline.scenes.world_boxes import seen_by
 from pipeline.system.errors import InputError, require
+from pipeline.system.frozen import dataclass
 
 EYE_HEIGHT_M = 1.5
 """Of somebody who stands at an object, above the lowest place of the scene."""
@@ -35,8 +37,23 @@ IMAGINED = Camera(intrinsics(400.0, 400.0, 320.0, 240.0), 640, 480)
 LEAST_DEPTH_M = 0.05
 FLOOR_PERCENTILE = 1.0
 """Of the heights of a scene's places: single stray ones lie below the floor."""
+VOXELS_BESIDE = 3
+"""What lies so near to the object that somebody stands at hides nothing either: its rim is nobody's."""
+STEEPEST = np.deg2rad(75)
+"""Nobody looks farther up or down."""
 LEAST_APART_M = 0.2
 """Objects nearer to each other give no direction to face."""
+
+
+@dataclass(frozen=True)
+class MapDetector(AnnotationDetector):
+    """Detector of a map's objects: each by the name that the frames give it, for certain."""
+
+    name = "object map"
+    where = "the scene"
+
+    def fingerprint(self) -> str:
+        return self.name
 
 
 class WorldFrame(PreparedFrame):
@@ -53,12 +70,20 @@ class WorldFrame(PreparedFrame):
     'mug'
     """
 
-    def __init__(self, frame: Frame, made: ObjectMap, pose: np.ndarray, config: LiftConfig | None = None) -> None:
+    def __init__(
+        self,
+        frame: Frame,
+        made: ObjectMap,
+        pose: np.ndarray,
+        config: LiftConfig | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> None:
         points = {o.id: to_world(made.voxels.of(o.id), np.linalg.inv(pose)).astype(np.float32) for o in made.objects}
         bboxes = {number: _bbox(own, frame.camera) for number, own in points.items()}
         found = tuple(Annotation(o.id, o.label, bboxes[o.id]) for o in made.objects)
         super().__init__(replace(frame, annotations=found), config)
         self.made, self.pose, self.points = made, pose, points
+        self.notes = notes  # What is assumed of the viewpoint
         self.wholes = {number: seen_by(whole, pose, self.viewer) for number, whole in made.boxes.items()}
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
@@ -95,15 +120,21 @@ def from_frame(pipeline: Pipeline, made: ObjectMap, frame_id: str) -> WorldFrame
         cause=made.left_out.get(frame_id),
     )
     prepared = pipeline.prepare(frame_id)
-    return WorldFrame(prepared.frame, made, made.poses[frame_id], pipeline.config.lift)
+    reason = made.left_out.get(frame_id)
+    doubt = f"frame {frame_id} was left out of the map: {reason}; directions and what is visible rest on that pose"
+    return WorldFrame(
+        prepared.frame, made, made.poses[frame_id], pipeline.config.lift, () if reason is None else (doubt,)
+    )
 
 
 def imagined(pipeline: Pipeline, made: ObjectMap, at: str, facing: str) -> WorldFrame:
-    """Scene for somebody who stands at one object and faces another, each named by its class.
+    """Scene for somebody who stands in the middle of one object and looks at another, each named by its class or id.
 
-    InputError for a name that the scene has no object of, or more than one, and for objects above each other.
+    What one stands at hides nothing. InputError for a name that the scene has no object of, or more than one, for the
+    same object twice, and for objects above each other.
     """
     one, other = named_object(made, at), named_object(made, facing)
+    require(one.id != other.id, "nobody faces what they stand at", got=f"{at} and {facing}: {one.label} {one.id}")
     up = made.up
     require(np.isfinite(up).all(), "nothing of the scene has a box, which would tell where up is")
     ahead = np.subtract(other.center, one.center)
@@ -117,17 +148,23 @@ def imagined(pipeline: Pipeline, made: ObjectMap, at: str, facing: str) -> World
     )
     ahead /= length
     places = centers_of(made.voxels.places[0])
+    beside = (np.maximum(np.subtract(one.low, places), places - one.high) > VOXELS_BESIDE * VOXEL_M).any(axis=1)
+    places = places[beside]
     require(len(places), "the map has no places")
     eye = np.asarray(one.center, float)
     eye += (float(np.percentile(places @ up, FLOOR_PERCENTILE)) + EYE_HEIGHT_M - eye @ up) * up
+    steep = float(np.clip(np.arctan2((np.asarray(other.center) - eye) @ up, length), -STEEPEST, STEEPEST))
+    right, ahead = np.cross(-up, ahead), np.cos(steep) * ahead + np.sin(steep) * up
     pose = np.eye(4)
-    pose[:3, :3] = np.stack([np.cross(-up, ahead), -up, ahead], axis=1)
+    pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead], axis=1)
     pose[:3, 3] = eye
     depth = _splatted(places, pose)
     camera = replace(IMAGINED, T_world_camera=pose, up=pose[:3, :3].T @ up, up_source="given")
     shade = (40 + 160 / np.maximum(depth, 1.0) * (depth > 0)).astype(np.uint8)
     frame = Frame(f"at {one.label} facing {other.label}", np.repeat(shade[..., None], 3, axis=2), depth, camera)
-    return WorldFrame(frame, made, pose, pipeline.config.lift)
+    named = ((at, one), (facing, other))
+    taken = tuple(f"'{name}' taken as {o.label} {o.id}" for name, o in named if o.label not in name.casefold())
+    return WorldFrame(frame, made, pose, pipeline.config.lift, taken)
 
 
 def asked_from(pipeline: Pipeline, made: ObjectMap, text: str) -> tuple[str, WorldFrame | None]:
@@ -165,18 +202,23 @@ def _reads(pipeline: Pipeline, text: str) -> bool:
 
 
 def named_object(made: ObjectMap, name: str) -> WorldObject:
-    """The one object of a scene with a class name; InputError for none or several."""
+    """Object of a scene by its class name, its id, or both ("sink 9"); InputError for none or several."""
+    said = re.fullmatch(r"(?:(.*?)[ ·])?(\d+)", name.strip())
+    if said is not None and (own := next((o for o in made.objects if o.id == int(said[2])), None)) is not None:
+        require(said[1] in (None, own.label), f"object {own.id} of the scene is no {said[1]}", got=own.label)
+        return own
     labels = tuple(dict.fromkeys(o.label for o in made.objects))
     meant = match(name, labels)
     found = [o for o in made.objects if o.label in meant]
     require(found, "the scene has no such object", got=name, expected=", ".join(labels))
-    require(len(found) == 1, f"the scene has {len(found)} objects called {name}", got=name, expected="one")
+    one_of = " | ".join(f"{o.label} {o.id}" for o in found)
+    require(len(found) == 1, f"the scene has {len(found)} objects called {name}", got=name, expected=one_of)
     return found[0]
 
 
 def ask_world(pipeline: Pipeline, world: WorldFrame, text: str) -> Trace:
     """Answer an expression by all objects of a scene; errors as of `ask`."""
-    detector = AnnotationDetector(tuple(dict.fromkeys(o.label for o in world.made.objects)), pipeline.synonyms)
+    detector = MapDetector(tuple(dict.fromkeys(o.label for o in world.made.objects)), pipeline.synonyms)
     return replace(pipeline, detector=detector, predictions=None, line=None).ask(world, text)
 
 
@@ -185,9 +227,14 @@ def presence_from(world: WorldFrame, number: int) -> Presence:
     found = next(o for o in world.made.objects if o.id == number)
     if world.frame.id in found.presence:
         return found.presence[world.frame.id]
-    ((presence, _),) = presences(PosedView.of(world.frame, world.pose), [world.made.voxels.of(number)])
-    # Nobody has looked for objects in an imagined picture.
-    return "seen" if presence == "missed" else presence
+    places = world.made.voxels.of(number)
+    ((presence, _),) = presences(PosedView.of(world.frame, world.pose), [places])
+    if presence == "out" or world.frame.id in world.made.left_out:
+        return "seen" if presence == "missed" else presence
+    # An imagined picture is drawn of the places themselves: what hides an object is in front of its own front.
+    own, depth = _splatted(places, world.pose), world.frame.depth
+    front = (own > 0) & ((own <= depth + VOXELS_BESIDE * VOXEL_M) | (depth <= 0))
+    return "seen" if np.count_nonzero(front) >= LEAST_SURFACE * max(1, np.count_nonzero(own)) else "hidden"
 
 
 def _bbox(points: np.ndarray, camera: Camera) -> np.ndarray:
@@ -212,5 +259,6 @@ def _splatted(places: np.ndarray, pose: np.ndarray) -> np.ndarray:
         of = (side == size) & (u >= 0) & (v >= 0) & (u < IMAGINED.width) & (v < IMAGINED.height)
         np.minimum.at(own, (v[of], u[of]), points[of, 2].astype(np.float32))
         depth = np.minimum(depth, cv2.erode(own, np.ones((size, size), np.uint8)))
-    depth[~np.isfinite(depth)] = 0
+    # Where nothing is seen, at the border too, which erosion fills with the largest number.
+    depth[depth >= np.finfo(np.float32).max] = 0
     return depth

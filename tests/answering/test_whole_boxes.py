@@ -205,7 +205,7 @@ def test_a_size_says_by_which_boxes_it_goes() -> None:
     notes = {}
     for boxes in ("seen", "completed"):
         pipeline = open_pipeline(DEMO_NAME, config=AskConfig(lift=LiftConfig(boxes=boxes)))
-        notes[boxes] = " ".join(reading_notes(pipeline.ask(pipeline.dataset.frame_ids[0], asked)))
+        notes[boxes] = " ".join(reading_notes(pipeline.ask(pipeline.prepare(pipeline.dataset.frame_ids[0]), asked)))
     assert "goes by the part of each thing that is seen" in notes["seen"]
     assert "goes by whole boxes: 3 of 3 are estimated" in notes["completed"]
     assert "that is seen, not by the whole" not in notes["completed"]

@@ -67,7 +67,7 @@ def test_sizes_of_labels_are_of_the_boxes_that_the_views_of_a_scene_tell(maps: P
     detector, made = pipeline.needed_detector(), read_map(maps / "000001.npz")
     prepared = pipeline.prepare(FRAMES[0])
     seen = all_objects(prepared, detector)
-    instances = open_instances(str(maps), detector)
+    instances = open_instances(str(maps), detector, pipeline.dataset)
     found = instances.completed(FRAMES[0], seen, detector.exact, prepared.viewer)
     for one, other in zip(seen, found, strict=True):
         entry = made.of_object(FRAMES[0], one.id)

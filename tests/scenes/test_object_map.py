@@ -180,3 +180,17 @@ def test_places_of_objects_that_are_one_are_counted_together() -> None:
 def test_a_point_beyond_the_reach_of_voxels_is_refused() -> None:
     with pytest.raises(InputError, match="too far"):
         Voxels().added(np.array([[1e4, 0, 0]]), np.array([0]))
+
+
+def test_a_map_is_of_one_dataset_and_its_poses(small: ObjectMap, tmp_path: Path) -> None:
+    save_map(small, tmp_path)
+    same = boxes_at([{"box": A}] * 2).dataset
+    assert list(read_maps(tmp_path, same)) == ["a/b"]
+    with pytest.raises(InputError, match="maps of another dataset"):
+        read_maps(tmp_path, demo().dataset)
+    pose = next(iter(small.declared.values())).copy()
+    pose[0, 3] += 0.1
+    made = replace(small, declared={**small.declared, small.frame_ids[0]: pose})
+    save_map(made, tmp_path)
+    with pytest.raises(InputError, match=f"another pose of frame {small.frame_ids[0]}"):
+        read_maps(tmp_path, same)

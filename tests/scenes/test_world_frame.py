@@ -1,9 +1,11 @@
 """A scene is asked from a frame that does not see all of it, and from where no camera stood."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pipeline.answering.answer_words import holds
+from pipeline.answering.answer_words import holds, reading_notes
 from pipeline.answering.objects import all_objects
 from pipeline.answering.pipeline import Pipeline, open_pipeline
 from pipeline.scenes.object_map import ObjectMap, map_scene
@@ -88,7 +90,8 @@ def test_a_sentence_names_its_viewpoint(pipeline: Pipeline, made: ObjectMap) -> 
     [
         ("unicorn", "laptop", "no such object"),
         ("book", "laptop", "objects called book"),
-        ("laptop", "laptop", "above or below"),
+        ("laptop", "laptop", "what they stand at"),
+        ("laptop", "laptop 3", "no such object|is no laptop"),
     ],
 )
 def test_a_viewpoint_that_cannot_be_is_refused(
@@ -101,3 +104,33 @@ def test_a_viewpoint_that_cannot_be_is_refused(
 def test_a_frame_that_is_not_of_the_map_is_refused(pipeline: Pipeline, made: ObjectMap) -> None:
     with pytest.raises(InputError, match="no place in the map"):
         from_frame(pipeline, made, "000002/000000")
+
+
+def test_who_stands_at_a_thing_sees_past_it_what_they_face(pipeline: Pipeline, made: ObjectMap) -> None:
+    """The bookshelf is taller than a person, the laptop lies below the eyes of who stands at its desk."""
+    laptop = next(o.id for o in made.objects if o.label == "laptop")
+    for at in ("bookshelf", "desk", "rug"):
+        world = imagined(pipeline, made, at, "laptop")
+        assert presence_from(world, laptop) == "seen", at
+        assert world.frame.depth.max() < 20
+        assert not world.notes
+
+
+def test_a_thing_is_named_by_its_id_or_by_another_word_and_that_is_told(pipeline: Pipeline, made: ObjectMap) -> None:
+    books = [o.id for o in made.objects if o.label == "book"]
+    with pytest.raises(InputError, match=f"book {books[0]} | book {books[1]}"):
+        imagined(pipeline, made, "book", "laptop")
+    for name in (f"book {books[1]}", f"book·{books[1]}", str(books[1])):
+        assert imagined(pipeline, made, name, "armchair").frame.id == "at book facing armchair"
+    assert imagined(pipeline, made, "sofa", "laptop").notes == (
+        f"'sofa' taken as armchair {next(o.id for o in made.objects if o.label == 'armchair')}",
+    )
+
+
+def test_a_frame_that_was_left_out_says_so(pipeline: Pipeline, made: ObjectMap) -> None:
+    doubted = replace(made, left_out={FRAME: "its pose does not fit"})
+    (note,) = from_frame(pipeline, doubted, FRAME).notes
+    assert "left out of the map: its pose does not fit" in note
+    trace = ask_world(pipeline, from_frame(pipeline, made, FRAME), "the tallest lamp")
+    assert trace.detector == "object map"
+    assert "goes by whole boxes" in " ".join(reading_notes(trace))
