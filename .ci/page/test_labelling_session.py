@@ -66,7 +66,14 @@ GONE = """core => {
   field.focus();
   field.value = (Number(field.value) + 0.01).toFixed(3);
   core.patch([['edit', '<div id="edit"></div>']]);
-  for (const key of ['5', 'y']) dispatchEvent(new KeyboardEvent('keydown', {key}));
+  const ask = document.getElementById('ask-text'), heard = [];
+  for (const field of [ask, document.body]) {
+    field.focus();
+    if (field !== ask) ask.blur();
+    heard.push(dispatchEvent(new KeyboardEvent('keydown', {key: '5', cancelable: true})));
+  }
+  dispatchEvent(new KeyboardEvent('keydown', {key: 'y'}));
+  return heard;
 }"""
 
 
@@ -78,7 +85,8 @@ def test_a_letter_is_a_key_where_a_field_went(review: Tab, reviewed: Server) -> 
     first = tab.still(CLAIM)
     tab.drawer("Edit")
     tab.see("#edit label.field[title^='width'] input")
-    tab.page.evaluate(f"import('/app/core.mjs').then({GONE})")
+    heard = tab.page.evaluate(f"import('/app/core.mjs').then({GONE})")
+    assert heard == [True, False], "a digit goes into another field that has the focus, and nowhere else"
     tab.poll(f"claim => {CLAIM} !== claim", first)
     made = events(LABELS, "--journal", reviewed.journal)[before:]
     assert any(e["field"] != "box" for e in made), made

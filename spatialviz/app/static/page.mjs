@@ -159,7 +159,8 @@ const named = e => {
 const pressed = e => {
   const own = e.currentTarget === window, f = document.activeElement, dialog = byId('dialog-window');
   if (e.defaultPrevented || e.isComposing) return;
-  if (typesOn(e)) { e.preventDefault(); return; }
+  // Whoever types into another field by now types there.
+  if (!typing(f) && typesOn(e)) { e.preventDefault(); return; }
   if (own && typing(f)) {
     fields[f.dataset.field]?.keydown?.(e, f);
     if (e.defaultPrevented) return;
