@@ -211,7 +211,9 @@ def _of_frame(
             match, kept = next(fresh), ()
             pixels = mask.mask.of_picture(target.size)
             made, new = (
-                actions.add_object(target, row["label"], mask=pixels, box=box, number=match, reason=reason),
+                actions.add_object(
+                    target, row["label"], mask=pixels, box=box, number=match, instance=row["instance"], reason=reason
+                ),
                 True,
             )
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,14 +79,14 @@ def test_an_object_that_is_nowhere_else_becomes_a_new_one(full_corrector: Correc
     frame = full_corrector.frame(FRAME, journal)
     mask = half_of(frame, DESK)[0]
     mask[330:] = False
-    saved(journal, add_object(frame, "desk pad", mask=mask))
+    saved(journal, add_object(frame, "desk pad", mask=mask, instance=7))
     found = proposed(full_corrector, journal)
     one = found[OTHERS[1]]
     assert one.new
     assert one.record()["fields"] == ["exists"]
     saved(journal, one.edits)
     row = full_corrector.frame(OTHERS[1], journal).objects[one.number]
-    assert row["label"] == "desk pad"
+    assert (row["label"], row["instance"]) == ("desk pad", 7)
     assert row["mask_pixels"] == one.mask.area
 
 
@@ -148,3 +149,10 @@ def test_further_labelled_frames_show_more_of_an_object(full_corrector: Correcto
     assert both.proposals[0].mask.seen > alone.proposals[0].mask.seen
     assert {s.frame_id for s in both.proposals[0].mask.sightings} == {FRAME, OTHERS[0]}
     assert [one.frame for one in proposals(full_corrector, journal, FRAME, None, also=OTHERS[:1])] == [OTHERS[1]]
+
+
+@pytest.mark.parametrize("instance", [-1, True, "7", 2**31, 1.5])
+def test_an_instance_is_a_number(full_corrector: Corrector, journal: Journal, instance: object) -> None:
+    (edit,) = add_object(full_corrector.frame(FRAME, journal), "desk pad", bbox=(10, 10, 40, 40))
+    with pytest.raises(InputError, match="an instance is a number"):
+        replace(edit, after={**edit.after, "instance": instance})

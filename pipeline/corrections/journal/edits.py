@@ -91,9 +91,13 @@ def add_object(
     bbox: Rectangle | None = None,
     box: Box3D | None = None,
     number: int | None = None,
+    instance: int | None = None,
     reason: str = "",
 ) -> Edits:
-    """Add an object from pixels, a 2D box, a 3D box, or several; `number` is from FIRST_NEW_OBJECT on."""
+    """Add an object from pixels, a 2D box, a 3D box, or several; `number` is from FIRST_NEW_OBJECT on.
+
+    `instance`: its id in the scene, where it is known.
+    """
     if number is None:
         (number,) = new_numbers(frame, 1)
     require(
@@ -105,6 +109,7 @@ def add_object(
     pixels = {} if mask is None else {"mask": _code(frame, mask)}
     flat = {} if bbox is None else {"bbox": _within(frame, bbox)}
     seed = {"label": label, **pixels, **flat, **({} if box is None else {"box": box_value(box)})}
+    seed |= {} if instance is None else {"instance": instance}
     return (_edit(frame, object_ref(frame.frame, number, "exists"), seed, reason),)
 
 

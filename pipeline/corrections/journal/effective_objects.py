@@ -149,7 +149,7 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
         "object": number,
         "label": seed["label"],
         "score": 1.0,
-        "instance": None,
+        "instance": seed.get("instance"),
         "bbox": bbox,
         "mask": mask,
         "mask_source": "human" if mask is not None else "box3d" if box is not None else "box",

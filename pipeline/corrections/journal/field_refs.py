@@ -296,7 +296,7 @@ def _box(value: Any) -> dict[str, list[float]]:
 
 def _new_object(value: Any) -> dict[str, Any]:
     require(
-        isinstance(value, dict) and not set(value) - {"label", "mask", "bbox", "box"},
+        isinstance(value, dict) and not set(value) - {"label", "mask", "bbox", "box", "instance"},
         "a new object has a label and a mask, a 2D box or a 3D box",
         got=Shown(value),
     )
@@ -305,6 +305,11 @@ def _new_object(value: Any) -> dict[str, Any]:
         if value.get(name) is not None:
             found[name] = check(value[name])
     require(len(found) > 1, "a new object needs a mask, a 2D box or a 3D box")
+    if value.get("instance") is not None:
+        number = value["instance"]
+        known = isinstance(number, int) and not isinstance(number, bool) and 0 <= number < 2**31
+        require(known, "an instance is a number of the scene's objects", got=Shown(number))
+        found["instance"] = number
     return found
 
 
