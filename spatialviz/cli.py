@@ -179,6 +179,11 @@ def listing() -> str:
     return "\n".join(lines)
 
 
+def _said(name: str) -> tuple[str, ...]:
+    """Words of a command as people say it: of one that an option stands for, both."""
+    return next((said for said, own in OPTIONS.items() if own == name), (name,))
+
+
 def run(arguments: Sequence[str]) -> int:
     """Parse a command and run it; returns the exit status."""
     # Parsers are made of every option: where the command is known, of its own only.
@@ -191,7 +196,7 @@ def run(arguments: Sequence[str]) -> int:
         with redirect_stderr(told), redirect_stdout(unfiltered(sys.stdout)), _defaults_trusted():
             command: Any = tyro.cli(
                 options_of(name) if known else Union[every],  # pyright: ignore
-                prog=f"spatialviz {name}" if known else "spatialviz",
+                prog=" ".join(("spatialviz", *_said(name))) if known else "spatialviz",
                 args=arguments[1:] if known else arguments,
                 # tyro would parse it as a page of a manual.
                 description=inspect.getdoc(options_of(name)) if known else ABOUT,
