@@ -99,12 +99,22 @@ class Person:
         yield
         frame, _, *ends, _ = self.tab.page.evaluate("window.answeredItem").split(" ")
         try:
-            saved = self.saves("an answer", lambda e: e.action != "undo" and e.ref.field != "box")
+            # What the other has answered, or taken back, since the page showed it is asked about.
+            while not self.saves("an answer", lambda e: e.action != "undo" and e.ref.field != "box"):
+                if not self.takes_own():
+                    return
         except Refused:
             self.told["refused"] += 1
             return
-        assert saved, "a question is no dispute"
         self.keep(("accept", f"{frame} {sorted(map(int, ends))}", 0.0))
+
+    def takes_own(self) -> bool:
+        """Settle what is disputed by chance; False for the other's value."""
+        mine = self.chance.random() < 0.5
+        self.told["mine" if mine else "theirs"] += 1
+        self.tab.page.keyboard.press("m" if mine else "t")
+        self.tab.closed()
+        return mine
 
     def number(self, row: int) -> int:
         """Number of a labelled object of the frame that is shown."""
@@ -141,11 +151,7 @@ class Person:
         try:
             # Whoever takes their own is asked again where the other has saved once more meanwhile.
             while not self.saves(str(done), wanted, lambda: typed and page.evaluate(EDITED) == name):
-                mine = self.chance.random() < 0.5
-                self.told["mine" if mine else "theirs"] += 1
-                page.keyboard.press("m" if mine else "t")
-                self.tab.closed()
-                if not mine:
+                if not self.takes_own():
                     return
         except Refused:
             # The page was still on its way to the next item when the width was typed.
