@@ -15,7 +15,7 @@ from pipeline.geometry.palette import ON_DARK, Role
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.pictures.looks import Look, scene_shown
-from pipeline.pictures.marks import draw_outline, roles_of, tinted, window
+from pipeline.pictures.marks import draw_outline, tinted, window
 
 
 @cache
@@ -82,7 +82,8 @@ def pipeline_card() -> Card:
 def relations(card: Card, answer: Answer, ends: tuple[int, int | None], x: float, y: float) -> None:
     """Draw the probabilities of the relations of a pair as bars."""
     scores = answer.needed_trace().scores
-    assert scores is not None and ends[1] is not None
+    assert scores is not None
+    assert ends[1] is not None
     for k, name in enumerate(DIRECTIONAL):
         p = float(scores.probabilities[ends[0], ends[1], scores.relations.index(name)])
         at = y + 36 * k
@@ -181,7 +182,7 @@ def room(card: Card, x: float, y: float, level: np.ndarray) -> None:
         card.lines(seen([(-0.9, 0, ahead), (0.9, 0, ahead)], x, y), stroke=EDGE, line=1.5)
     for edge in cuboid(TABLE, (0.9, 0.6, 0.6)):
         card.lines(seen(edge, x, y), stroke=QUIET, line=1.8)
-    for edge in cuboid(TABLE + [-0.1, 0.39, 0.0], (0.16, 0.18, 0.16)):
+    for edge in cuboid(TABLE + np.array([-0.1, 0.39, 0.0]), (0.16, 0.18, 0.16)):
         card.lines(seen(edge, x, y), stroke=TARGET, line=2)
     corners = np.array([(a, b, 1.0) for a, b in ((-0.55, -0.42), (0.55, -0.42), (0.55, 0.42), (-0.55, 0.42))]) * 0.42
     corners = corners @ level.T + EYE
@@ -192,7 +193,7 @@ def room(card: Card, x: float, y: float, level: np.ndarray) -> None:
 
 STEPS = (
     ("You say it", "--up, --level-at, spatialviz.toml, a click", TRUTH),
-    ("The dataset declares it", "a field of its format", TRUTH),
+    ("The dataset declares it", "a field of its format, a phone's own sensor", TRUTH),
     ("The posed frames agree", "floors and tables of the whole scene", TRUTH),
     ("A level plane of this frame", "a floor, a table top", TRUTH),
     ("Assumed", "the top of the picture: a warning stands everywhere", DOUBT),
@@ -213,18 +214,22 @@ def up_card() -> Card:
     return card
 
 
+UNITS = 2000
+"""Depth units in one metre of the demo's files."""
+
+
 def lengths_card() -> Card:
     """Picture of how a pixel becomes a point, with the numbers of a pixel of the demo."""
     frame = asked().needed_trace().frame
     camera, pixel = frame.camera, (420, 330)
     z = float(frame.depth[pixel[1], pixel[0]])
-    stored = round(z / 0.0005)
+    stored = round(z * UNITS)
     a, b = (pixel[0] - camera.cx) * z / camera.fx, (pixel[1] - camera.cy) * z / camera.fy
-    card = Card(960, 424, "A stored depth times the depth scale is metres, and with the intrinsics a point")
+    card = Card(960, 424, "A stored depth divided by the depth scale is metres, and with the intrinsics a point")
     card.text(24, 46, "From a stored number to a point, of one pixel of the demo", 26, bold=True)
     lines = (
         ("stored depth", f"{stored}", "the number in the file"),
-        ("× depth scale", "0.0005 m", "metres for each step of the file"),
+        ("÷ depth scale", f"{UNITS}", "steps of the file in one metre"),
         ("= depth z", f"{z:.3f} m", "along the camera's axis, not along the ray"),
         ("x = (u − cx) · z / fx", f"{a:+.3f} m", f"({pixel[0]} − {camera.cx:g}) · {z:.3f} / {camera.fx:g}"),
         ("y = (v − cy) · z / fy", f"{b:+.3f} m", f"({pixel[1]} − {camera.cy:g}) · {z:.3f} / {camera.fy:g}"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from svg import DOUBT, EDGE, HATCH, INK, QUIET, REFERENCE, SURFACE, TARGET, TRUTH, Card, n
+from svg import DOUBT, EDGE, HATCH, QUIET, REFERENCE, SURFACE, TARGET, TRUTH, Card, n
 
 from pipeline.diagnosis.whatif.region import states_at
 from pipeline.language.relation import DECLARED
@@ -180,7 +180,7 @@ def outline(cells: np.ndarray, step: float, x: float, y: float) -> str:
         line = cv2.approxPolyDP(line, 3, True)[:, 0].astype(np.float64)
         if len(line) > 2:
             ends = ((line + 0.5) / 4 - 1) * step
-            ends = np.clip(ends, 1, [min(width, PANEL[0]) - 1, min(height, PANEL[1]) - 1]) + [x, y]
+            ends = np.clip(ends, 1, np.minimum([width, height], PANEL) - 1) + np.array([x, y])
             parts.append("M" + "L".join(f"{n(a)} {n(b)}" for a, b in ends) + "Z")
     return "".join(parts)
 

@@ -1,4 +1,4 @@
-"""Pictures of the documents as SVG: one dark card in the program's colours, so that it reads on light and dark pages."""
+"""Pictures of the documents as SVG: one dark card in the program's colours, to be read on light and dark pages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from html import escape
 import cv2
 import numpy as np
 
-from pipeline.geometry.palette import ON_DARK, RGB, hex_color
+from pipeline.geometry.palette import ON_DARK, hex_color
 from pipeline.pictures.answer_card import AMBER, BACK, DIM, LINE, PANEL, WORDS
 from pipeline.pictures.text import font, plain, width_of, wrapped
 
@@ -23,7 +23,8 @@ Point = Sequence[float]
 
 def n(value: float) -> str:
     """Write a length with at most one decimal."""
-    return f"{value:.1f}".rstrip("0").rstrip(".").replace("-0", "-0") or "0"
+    text = f"{value:.1f}".removesuffix(".0")
+    return "0" if text == "-0" else text
 
 
 def measured(text: str, size: float, bold: bool = False) -> float:

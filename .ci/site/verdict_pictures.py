@@ -1,6 +1,6 @@
 """Pictures of the verdicts, each of an expression on the demo's frames, and of the order in which they are decided.
 
-Nothing of an answer is written here but which expression it is: objects, words and the stage at fault are the program's.
+Of an answer only the expression is chosen here: objects, words and the stage at fault are the program's.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ def unseen() -> Answer:
 def unexplained() -> Answer:
     """An answer of a file that gives a box and nothing else: that of the picture for OPM-CONF."""
     told = run().answer(*OF_THE_RUN["OPM-CONF"])
-    assert told.trace is not None and told.target is not None
+    assert told.trace is not None
+    assert told.target is not None
     x0, y0, x1, y1 = (float(v) for v in told.target.bbox)
     line = Prediction(told.trace.frame.id, told.text, answer=PredictedAnswer(box=(x0, y0, x1, y1)))
     with tempfile.TemporaryDirectory() as folder:
@@ -202,7 +203,8 @@ def tag(card: Card, named: Named, box: np.ndarray, filled: list[tuple[float, flo
 def inset(card: Card, frame_id: str, text: str) -> None:
     """Show the frame that sees what this one does not, over a corner."""
     other = Opened(open_pipeline("demo")).ask(frame_id, text)
-    assert other.trace is not None and other.target is not None
+    assert other.trace is not None
+    assert other.target is not None
     width, height = 216, 162
     x, y = STAGE[0] + STAGE[2] - width - 10, STAGE[1] + STAGE[3] - height - 10
     rgb, box = other.trace.frame.rgb, np.asarray(other.target.bbox, float).reshape(2, 2)
