@@ -77,8 +77,8 @@ def glossary_markdown() -> str:
     lines = [
         "# Glossary",
         "",
-        "Words that you meet in the page, in tables and in these documents. What a switch of the page does is said where",
-        "the mouse rests on it; `spatialviz ask --glossary WORD` explains any word in the shell.",
+        "Words that you meet in the page, in tables and in these documents. What a switch of the page does is said",
+        "where the mouse rests on it; `spatialviz ask --glossary WORD` explains any word in the shell.",
     ]
     for group, terms in groupby(glossary().values(), lambda term: term.group):
         if group in DOCUMENTED:
