@@ -16,7 +16,8 @@ import numpy as np
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "pictures"
 MODULES = ("concept_pictures", "relation_pictures", "verdict_pictures")
-NUMBER = re.compile(r"(?<![\w#])-?\d+(?:\.\d+)?")
+# Not a part of a colour or of an id.
+NUMBER = re.compile(r"(?<![#0-9a-fA-F.])-?\d+(?:\.\d+)?")
 JPEG = re.compile(r"data:image/jpeg;base64,([\w+/=]+)")
 
 

@@ -236,7 +236,7 @@ def strip(card: Card, answer: Answer) -> None:
     judged = answer.diagnosis or answer.unseen
     made = unasked_stages(judged, 0, "PARSE") if answer.trace is None else stages_of(answer.trace, judged)
     stages = [s for s in made if s.name != "LABEL" or answer.verdict == "LABEL"]
-    gap, height, size = (26, 42, 19) if len(stages) < 6 else (20, 42, 17)
+    gap, height, size = (26, 42, 19) if len(stages) < 6 else (18, 42, 16)
     width = (912 - gap * (len(stages) - 1)) / len(stages)
     for number, stage in enumerate(stages):
         x, (color, lines) = 24 + number * (width + gap), MARK[stage.mark]
