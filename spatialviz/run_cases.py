@@ -85,6 +85,7 @@ def run_save_case(command: SaveCaseCommand) -> None:
         command.expression,
         truth=frame_truth(pipeline, context, labels),
         confidence=None if run is None else run.spec.confidence,
+        maps=None if run is None else run.maps,
         edits=edits,
         run=None if run is None else {"run": str(run.folder)},
         name=command.name,

@@ -21,6 +21,8 @@ from pipeline.corrections.label_editor import NOT_IN_THE_JOURNAL, LabelEditor
 from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, labelled_objects, withdrawn_by
 from pipeline.corrections.unsaved import Waiting
 from pipeline.diagnosis.asking import annotated_truth, judge_refused, judge_trace, labelled_case, labelled_truth
+from pipeline.diagnosis.cases.saving import OpenedCase
+from pipeline.diagnosis.not_seen import not_seen
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import OtherAnswer
 from pipeline.evaluation.run_folder import Run
@@ -38,7 +40,8 @@ class Judge:
     """Judgement of answers about frames of named sources; the truth of the last frame is kept.
 
     `runs` and `labels` are by source, labels of a run first; `others` are runs to compare with; `corrected` gives a
-    frame's corrected labels, or None; `names`: of both runs of a source, so that they can be told apart.
+    frame's corrected labels, or None; `cases`: saved cases by source, whose truth is their own; `names`: of both runs
+    of a source, so that they can be told apart.
     """
 
     def __init__(
@@ -47,8 +50,10 @@ class Judge:
         labels: Mapping[str, Labels],
         others: Mapping[str, Run],
         corrected: Callable[[str, str], EffectiveFrame | None],
+        cases: Mapping[str, OpenedCase] | None = None,
     ) -> None:
         self._runs, self._labels, self._others, self._corrected = runs, labels, others, corrected
+        self._cases = cases or {}
         self.names = {name: told_apart(runs[name], other) for name, other in others.items() if name in runs}
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
@@ -66,6 +71,8 @@ class Judge:
         if self._kept is None or self._kept[0] != key or self._kept[1] is not corrected:
             if corrected is not None:
                 found = effective_truth(corrected)
+            elif name in self._cases:
+                found = self._cases[name].truth
             else:
                 found = None if labels is None else labelled_truth(frame, source, labels)
             self._kept = key, corrected, annotated_truth(context, source) if found is None else found
@@ -105,7 +112,8 @@ class Judge:
             if corrected is not None and case is not None:
                 known["case"] = answered_case(corrected, truth, case, trace)
             evidence = before.evidence if isinstance(before, Diagnosis) else None
-            return self._mapped(name, judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known))
+            found = judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known)
+            return self._mapped(name, found, trace.query.text)
         except InputError as error:
             return str(error)
 
@@ -118,12 +126,16 @@ class Judge:
             known = self.known(name, context.frame.id, truth, expression, source)
             if truth is None or known["case"] is None:
                 return None
-            return self._mapped(name, judge_refused(source, context, truth, known.pop("case"), **known))
+            case = known.pop("case")
+            return self._mapped(name, judge_refused(source, context, truth, case, **known), case.text)
         except InputError as error:
             return str(error)
 
-    def _mapped(self, name: str, found: Diagnosis | str) -> Diagnosis | str:
-        """Verdict by the object maps of a source's run, if it has any."""
+    def _mapped(self, name: str, found: Diagnosis | str, text: str) -> Diagnosis | str:
+        """Verdict by the object maps of a source's run, or by what a saved case keeps of one, if there is any."""
+        kept = self._cases.get(name)
+        if kept is not None and kept.manifest.unseen is not None and kept.manifest.text == text:
+            return found if isinstance(found, str) else not_seen(found, kept.manifest.unseen)
         maps = None if name not in self._runs else self._runs[name].maps
         return found if maps is None or isinstance(found, str) else maps.judged(found)
 
@@ -138,12 +150,15 @@ class Judge:
         run = second if second is not None and second.source is source else self._runs.get(name)
         corrected = self._corrected(name, frame)
         mark = None if run is None else run.spec.marks.get((frame, expression or ""))
+        confidence, kept = None if run is None else run.spec.confidence, self._cases.get(name)
+        if kept is not None:
+            mark, confidence = kept.mark if kept.case and kept.case.id == expression else None, kept.confidence
         if corrected is not None and expression is not None:
             mark = effective_mark(corrected, expression, mark)
         return {
             "case": None if truth is None else next((c for c in truth.cases if c.id == expression), None),
             "mark": mark,
-            "confidence": None if run is None else run.spec.confidence,
+            "confidence": confidence,
         }
 
     def other(

@@ -71,7 +71,7 @@ class PageSession(Part):
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
         self._filling = filling.Filling(ctx)
-        self._judge = Judge(shared.runs, shared.labels, shared.others, ctx.editors.corrected)
+        self._judge = Judge(shared.runs, shared.labels, shared.others, ctx.editors.corrected, shared.cases)
         ctx.client.camera.on_update(self._turned)
         self._selection = Selection(ctx, self.reopen)
         self._aids, self._cloud = frame_cloud.SceneAids(ctx), frame_cloud.FrameCloud(ctx)
