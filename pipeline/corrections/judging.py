@@ -20,10 +20,11 @@ from pipeline.corrections.journal.field_refs import relation_ref
 from pipeline.corrections.label_editor import NOT_IN_THE_JOURNAL, LabelEditor
 from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, labelled_objects, withdrawn_by
 from pipeline.corrections.unsaved import Waiting
+from pipeline.diagnosis.answer import Answer, Judged
 from pipeline.diagnosis.asking import annotated_truth, judge_refused, judge_trace, labelled_case, labelled_truth
 from pipeline.diagnosis.cases.saving import OpenedCase
-from pipeline.diagnosis.not_seen import not_seen
-from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.not_seen import SceneMaps, not_seen
+from pipeline.diagnosis.verdict import Diagnosis, Unseen
 from pipeline.diagnosis.whatif.answer_view import OtherAnswer
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.run_names import told_apart
@@ -93,9 +94,9 @@ class Judge:
         trace: Trace,
         expression: str | None = None,
         rank: RankConfig | None = None,
-        before: Diagnosis | str | None = None,
-    ) -> Diagnosis | str | None:
-        """Verdict on an answer, the reason why none is possible, or None without truth.
+        before: Judged = None,
+    ) -> Judged:
+        """Verdict on an answer, what its frame does not show, the reason why none is possible, or None without truth.
 
         `name` is the source of the truth, `source` what has answered, `expression` the id of the labelled one that was
         asked, `rank` the weights of an edited trace, `before` what came of it before the last edit.
@@ -103,7 +104,7 @@ class Judge:
         try:
             truth, corrected = self.truth(name, source, context), self._corrected(name, context.frame.id)
             if truth is None:
-                return None
+                return self._unseen(name, trace, None)
             rejected = None if corrected is None or expression is None else withdrawn_by(corrected, expression)
             if rejected is not None:
                 return rejected
@@ -113,9 +114,11 @@ class Judge:
                 known["case"] = answered_case(corrected, truth, case, trace)
             evidence = before.evidence if isinstance(before, Diagnosis) else None
             found = judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known)
-            return self._mapped(name, found, trace.query.text)
         except InputError as error:
-            return str(error)
+            found = str(error)
+        if isinstance(found, str):
+            return self._unseen(name, trace, found) or found
+        return self._mapped(name, found, trace.query.text)
 
     def judge_refused(
         self, name: str, source: Pipeline, context: PreparedFrame, expression: str | None
@@ -127,17 +130,32 @@ class Judge:
             if truth is None or known["case"] is None:
                 return None
             case = known.pop("case")
-            return self._mapped(name, judge_refused(source, context, truth, case, **known), case.text)
+            found = judge_refused(source, context, truth, case, **known)
+            return found if isinstance(found, str) else self._mapped(name, found, case.text)
         except InputError as error:
             return str(error)
 
-    def _mapped(self, name: str, found: Diagnosis | str, text: str) -> Diagnosis | str:
-        """Verdict by the object maps of a source's run, or by what a saved case keeps of one, if there is any."""
-        kept = self._cases.get(name)
-        if kept is not None and kept.manifest.unseen is not None and kept.manifest.text == text:
-            return found if isinstance(found, str) else not_seen(found, kept.manifest.unseen)
-        maps = None if name not in self._runs else self._runs[name].maps
-        return found if maps is None or isinstance(found, str) else maps.judged(found)
+    def _mapped(self, name: str, found: Diagnosis, text: str) -> Diagnosis:
+        """Verdict by the object maps of a source's run, or by what its saved case keeps of one, if there is any."""
+        if name in self._cases:
+            unseen = self._kept_unseen(name, text)
+            return found if unseen is None else not_seen(found, unseen)
+        maps = self._maps(name)
+        return found if maps is None else maps.judged(found)
+
+    def _unseen(self, name: str, trace: Trace, reason: str | None) -> Unseen | None:
+        """What the frame does not show, of an answer without a verdict for a reason."""
+        if name in self._cases:
+            return self._kept_unseen(name, trace.query.text)
+        maps = self._maps(name)
+        return None if maps is None else maps.answered(Answer(trace.query.text, trace, unjudged=reason)).unseen
+
+    def _maps(self, name: str) -> SceneMaps | None:
+        return None if name not in self._runs else self._runs[name].maps
+
+    def _kept_unseen(self, name: str, text: str) -> Unseen | None:
+        kept = self._cases[name].manifest
+        return kept.unseen if kept.text == text else None
 
     def known(
         self, name: str, frame: str, truth: FrameCases | None, expression: str | None, source: Pipeline | None = None
@@ -178,9 +196,11 @@ class Judge:
         except InputError as error:
             return OtherAnswer(text, problem=str(error), name=named)
         found = self.judge(name, source, context, trace, expression)
-        if isinstance(found, str):
-            return OtherAnswer(text, trace, unjudged=found, name=named)
-        return OtherAnswer(text, trace, diagnosis=found, name=named)
+        if isinstance(found, Diagnosis):
+            return OtherAnswer(text, trace, diagnosis=found, name=named)
+        if isinstance(found, Unseen):
+            return OtherAnswer(text, trace, unseen=found, name=named)
+        return OtherAnswer(text, trace, unjudged=found, name=named)
 
 
 REASON = "this pair is correct"

@@ -162,7 +162,7 @@ def save_case(
         "detector": {
             "name": detector.name,
             "exact": detector.exact,
-            "vocabulary": None if pipeline.dataset.class_names or shown is not None else detector.vocabulary,
+            "vocabulary": None if shown is not None else detector.vocabulary,
             "fingerprint_sha256": hashlib.sha256(detector.fingerprint().encode()).hexdigest(),
         },
         "scorer": scorer.model_dump(mode="json"),
@@ -212,7 +212,9 @@ def _write_whole(folder: Path, files: dict[str, bytes], pipeline: Pipeline, reco
 
 
 def _proposals(pipeline: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
-    names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
+    # A detector of its own names only is asked for the noun of "blue book".
+    asked = () if now.trace is None else now.trace.query.asked
+    names = [label if phrase is None else phrase for label, phrase in asked]
     case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
         names += filter(None, (case.target, case.reference))
