@@ -32,6 +32,7 @@ from pipeline.diagnosis.cases.saving import OpenedCase, open_case, save_case
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.diagnosis.whatif.state import ViewState, decode, encode
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.reading import open_labels
 from pipeline.pictures.answer_card import STAGE, answer_picture
 from pipeline.system.errors import InputError
@@ -48,10 +49,12 @@ MOST_CASES, MOST_PICTURE = 3 * 2**20, 150 * 2**10
 """Bytes of all cases, and of a picture, at most."""
 TILE = 480
 """Width of a tile, pixels."""
-STEP = 0.03
-"""Depth has an edge where neighbours are farther apart than this share of it."""
-GROUND, EDGE, OTHERS = 24, 112, 64
-"""Greys of a drawn recording: ground, edges of depth, outlines of detections that play no role."""
+GROUND, EDGE, OUTLINE = 24, 120, (126, 140, 160)
+"""Greys of a drawn recording: ground and edges of depth; colour of outlines of what is labelled."""
+SPECK = 150
+"""Parts of a mask that are smaller are not outlined, square pixels."""
+SMOOTH, BENT = 1.5, 0.3
+"""Depth is smoothed over so many pixels; where its inverse bends by so much of itself an edge is clearest."""
 
 
 def real(case: Mapping[str, Any]) -> bool:
@@ -98,7 +101,7 @@ class Maker:
         if case["detector"] == "alone":
             run("detect", folder, *camera, *options, "--out", own / "found.json")
             answers(own / "found.json", own / "labels", own / "answers.jsonl")
-            judged = ["--dataset", folder, *camera, "--labels", own / "labels", "--out", own / "run", "--no-plots"]
+            judged = ["--dataset", folder, *camera, "--labels", own / "labels", "--out", own / "run", "--overwrite"]
             run("import-run", own / "answers.jsonl", *judged)
             run("save-case", own / "run", *asked)
             return
@@ -126,20 +129,21 @@ def answers(found: Path, labels: Path, out: Path) -> None:
     out.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
 
 
-def drawn(frame: Frame, answered: Answer) -> Frame:
-    """Frame with a drawing in place of its picture, and without depth."""
-    z = frame.depth
-    edge = np.zeros(z.shape, np.bool_)
-    for axis in (0, 1):
-        a, b = (np.delete(z, end, axis) for end in (-1, 0))
-        step = (np.abs(a - b) > STEP * np.minimum(a, b)) & (a > 0) & (b > 0)
-        edge |= np.pad(step, [(0, int(axis == k)) for k in (0, 1)])
-    image = np.full((*z.shape, 3), GROUND, np.uint8)
-    image[edge] = EDGE
-    for thing in answered.objects:
-        lines, _ = cv2.findContours(thing.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        cv2.drawContours(image, lines, -1, (OTHERS,) * 3, 2, cv2.LINE_AA)
-    nothing = np.zeros_like(z)
+def drawn(opened: OpenedCase) -> Frame:
+    """Frame with a drawing in place of its picture, and without depth: edges of depth, and outlines of masks."""
+    frame, truth = opened.context.frame, opened.truth
+    seen = frame.depth > 0
+    inverse = cv2.GaussianBlur(1 / np.where(seen, cv2.medianBlur(frame.depth, 5), np.inf).clip(0.2), (0, 0), SMOOTH)
+    # Over a plane the inverse of the depth changes evenly: it bends at edges and creases.
+    bend = np.abs(cv2.Laplacian(inverse, cv2.CV_32F, ksize=5)) / inverse.clip(0.05)
+    strength = np.clip(bend / BENT - 0.4, 0, 1) * cv2.erode(seen.view(np.uint8), np.ones((7, 7)))
+    image = np.clip(GROUND + (EDGE - GROUND) * strength, 0, 255).astype(np.uint8)[..., None].repeat(3, axis=2)
+    masks = [] if truth is None else [decode_run_length(frame.depth.shape, code) for code in truth.masks if code]
+    for mask in masks:
+        whole = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((7, 7)))
+        lines, _ = cv2.findContours(whole, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        cv2.drawContours(image, [line for line in lines if cv2.contourArea(line) > SPECK], -1, OUTLINE, 2, cv2.LINE_AA)
+    nothing = np.zeros_like(frame.depth)
     nothing[0, 0] = 1  # A frame has some depth; a pixel alone is not drawn in 3D.
     return replace(frame, rgb=image, depth=nothing)
 
@@ -148,7 +152,7 @@ def pictured(case: Mapping[str, Any], opened: OpenedCase) -> np.ndarray:
     """Card of a case: (630, 1200, 3) uint8 RGB."""
     found, frame = opened.answer(), opened.context.frame
     if real(case):
-        frame = drawn(frame, found)
+        frame = drawn(opened)
         if found.trace is not None:
             found = replace(found, trace=replace(found.trace, frame=frame))
     return answer_picture(found, frame, SETS[case["set"]]["shown"])
@@ -178,7 +182,8 @@ def told(opened: OpenedCase) -> dict[str, Any]:
     trace = found.trace
 
     def name(k: int) -> str:
-        return "" if trace is None else trace.name(k).replace("·", " ")
+        # Without its number, which is another in the page, where all objects of the frame are counted.
+        return "" if trace is None else trace.objects[k].label
 
     cards = {c.kind: c for c in cards_of(trace, d or found.unjudged, next(iter(found.pairs), None), name)}
     sides = {
@@ -192,7 +197,7 @@ def told(opened: OpenedCase) -> dict[str, Any]:
         "head": story.head,
         "sentence": story.sentence,
         "mend": story.mend,
-        "answer": sides.get("answer", "nothing"),
+        "answer": sides.get("answer", "nothing" if opened.manifest.shown is None else "one box"),
         "right": sides.get("right") or sides.get("label") or "",
         "by": "By the label" if "label" in cards else "Should be",
     }
