@@ -32,8 +32,9 @@ class ViewCommand:
     """Open a dataset in the browser; without DATASET, the built-in demo."""
 
     dataset: Positional[str] = "demo"
-    """Dataset folder; a folder of dataset folders, for all of them; or "demo": the built-in one, with a run of a
-    simulated detector unless another is named. With --run, the run's own; with --state, the one that it names."""
+    """Dataset folder; a folder of dataset folders, for all of them; a case that `save-case` wrote; or "demo": the
+    built-in one, with a run of a simulated detector unless another is named. With --run, the run's own; with --state,
+    the one that it names."""
     run_folder: Annotated[Path | None, arg(name="run")] = None
     """A run folder that `eval` wrote: its failures are listed, with its detector and relation scorer."""
     compare: Path | None = None

@@ -217,6 +217,8 @@ class SaveCaseCommand(OfAnswer):
     """Dataset folder or "demo"; or a run, of this pipeline or imported: its answer, judged by its labels."""
     out: NewFolder
     labels: Truth = None
+    map: Path | None = None
+    """Folder of object maps that `map` wrote, for the verdict NOT-SEEN. Default: the run's."""
     edits: Path | None = None
     """Edits as a JSON file."""
     name: str | None = None

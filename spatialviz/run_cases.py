@@ -16,6 +16,7 @@ from pipeline.diagnosis.asking import answer, frame_truth, judged, truth_or_reas
 from pipeline.diagnosis.cases.manifest import ExpectedRecord
 from pipeline.diagnosis.cases.replay import ReplayResult, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
+from pipeline.diagnosis.not_seen import open_scene_maps
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.changes import became
 from pipeline.diagnosis.whatif.edit_words import edits_from_words
@@ -76,6 +77,9 @@ def run_save_case(command: SaveCaseCommand) -> None:
     if run is not None:
         require(not command.source.words(), "a run has its own options", got=" ".join(command.source.words()))
         labels = labels or run.labels
+    maps = None if run is None else run.maps
+    if command.map is not None:
+        maps = open_scene_maps(command.map, pipeline.dataset)
     context = _one_context(pipeline, command.frame)
     edits = None if command.edits is None else edits_record(load_edits(command.edits))
     now = save_case(
@@ -85,6 +89,7 @@ def run_save_case(command: SaveCaseCommand) -> None:
         command.expression,
         truth=frame_truth(pipeline, context, labels),
         confidence=None if run is None else run.spec.confidence,
+        maps=maps,
         edits=edits,
         run=None if run is None else {"run": str(run.folder)},
         name=command.name,
@@ -244,9 +249,9 @@ def _object(entry: dict[str, str] | None) -> str:
 
 def print_saved(now: Answer, folder: Path) -> None:
     """Print the saved files, and the command to run the case again."""
-    if now.diagnosis is not None:
-        say((now.diagnosis.verdict, "bold"), "  ", f"{now.story.head}. {now.story}")
-    say_lines([now.problem or now.unjudged or ""], "yellow")
+    if now.verdict is not None:
+        say((now.verdict, "bold"), "  ", f"{now.story.head}. {now.story}")
+    say_lines([now.problem or (now.unjudged if now.verdict is None else None) or ""], "yellow")
     say(f"kept -> {folder}   run it again: spatialviz replay {folder}")
 
 

@@ -11,6 +11,11 @@ from platformdirs import user_data_path
 from pipeline.answering.pipeline import Pipeline, open_sources
 from pipeline.corrections.unsaved import JournalLocation, journal_words
 from pipeline.datasets.demo import DEMO_NAME, demo_run
+from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.asking import pathless_edits
+from pipeline.diagnosis.cases.replay import replay_case
+from pipeline.diagnosis.cases.saving import OpenedCase, open_case
+from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.state import ViewState, decode
 from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.by_hand import begun_labels, default_folder, grows
@@ -38,7 +43,15 @@ def open_view(command: ViewCommand, listening: Listening, dark: bool | None) -> 
         path=command.compare,
     )
     sources: dict[str, Pipeline] = {}
-    if folder is not None:
+    cases: dict[str, OpenedCase] = {}
+    alone = folder is None and command.labels is None and command.source == SourceOptions()
+    if alone and (Path(dataset) / MANIFEST).is_file():
+        kept = _case(dataset)
+        name, m = kept.root.resolve().name, kept.manifest
+        sources, cases = {name: kept.source}, {name: kept}
+        edits = Edits() if m.edits is None else pathless_edits(m.edits)
+        view = view or ViewState(name, m.frame.id, m.text, edits=edits)
+    elif folder is not None:
         own = None if command.labels is None else str(command.labels)
         run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
         name = Path(run.spec.dataset).name
@@ -62,7 +75,7 @@ def open_view(command: ViewCommand, listening: Listening, dark: bool | None) -> 
         if found is not None:
             _check_labels(found, next(iter(sources.values())))
             labels = dict.fromkeys(sources, found)
-    corrected = {**_by_hand(command, sources), **labels}
+    corrected = {} if cases else {**_by_hand(command, sources), **labels}
     for name, run in runs.items():
         try:
             corrected[name] = run.labels
@@ -77,6 +90,7 @@ def open_view(command: ViewCommand, listening: Listening, dark: bool | None) -> 
         author=command.author,
         opened_by=_words(command, dataset, folder),
         first_view=None if view is None else _in(view, sources),
+        cases=cases,
         host=command.host,
         port=command.port,
         dark=dark,
@@ -85,6 +99,14 @@ def open_view(command: ViewCommand, listening: Listening, dark: bool | None) -> 
         max_clients=command.max_clients,
         listening=listening,
     )
+
+
+def _case(folder: str) -> OpenedCase:
+    """Saved case; what is not as it was when it was kept is warned of."""
+    opened = open_case(folder)
+    replayed = replay_case(opened)
+    warn(*(f"since the case was kept: {change}" for change in (*opened.notes, *replayed.changes)))
+    return opened
 
 
 def _is_new(labels: str) -> bool:

@@ -20,8 +20,11 @@ from pipeline.corrections.journal.field_refs import relation_ref
 from pipeline.corrections.label_editor import NOT_IN_THE_JOURNAL, LabelEditor
 from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, labelled_objects, withdrawn_by
 from pipeline.corrections.unsaved import Waiting
+from pipeline.diagnosis.answer import Answer, Judged
 from pipeline.diagnosis.asking import annotated_truth, judge_refused, judge_trace, labelled_case, labelled_truth
-from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.cases.saving import OpenedCase
+from pipeline.diagnosis.not_seen import SceneMaps, not_seen
+from pipeline.diagnosis.verdict import Diagnosis, Unseen
 from pipeline.diagnosis.whatif.answer_view import OtherAnswer
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.run_names import told_apart
@@ -38,7 +41,8 @@ class Judge:
     """Judgement of answers about frames of named sources; the truth of the last frame is kept.
 
     `runs` and `labels` are by source, labels of a run first; `others` are runs to compare with; `corrected` gives a
-    frame's corrected labels, or None; `names`: of both runs of a source, so that they can be told apart.
+    frame's corrected labels, or None; `cases`: saved cases by source, whose truth is their own; `names`: of both runs
+    of a source, so that they can be told apart.
     """
 
     def __init__(
@@ -47,8 +51,10 @@ class Judge:
         labels: Mapping[str, Labels],
         others: Mapping[str, Run],
         corrected: Callable[[str, str], EffectiveFrame | None],
+        cases: Mapping[str, OpenedCase] | None = None,
     ) -> None:
         self._runs, self._labels, self._others, self._corrected = runs, labels, others, corrected
+        self._cases = cases or {}
         self.names = {name: told_apart(runs[name], other) for name, other in others.items() if name in runs}
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
@@ -66,6 +72,8 @@ class Judge:
         if self._kept is None or self._kept[0] != key or self._kept[1] is not corrected:
             if corrected is not None:
                 found = effective_truth(corrected)
+            elif name in self._cases:
+                found = self._cases[name].truth
             else:
                 found = None if labels is None else labelled_truth(frame, source, labels)
             self._kept = key, corrected, annotated_truth(context, source) if found is None else found
@@ -86,9 +94,9 @@ class Judge:
         trace: Trace,
         expression: str | None = None,
         rank: RankConfig | None = None,
-        before: Diagnosis | str | None = None,
-    ) -> Diagnosis | str | None:
-        """Verdict on an answer, the reason why none is possible, or None without truth.
+        before: Judged = None,
+    ) -> Judged:
+        """Verdict on an answer, what its frame does not show, the reason why none is possible, or None without truth.
 
         `name` is the source of the truth, `source` what has answered, `expression` the id of the labelled one that was
         asked, `rank` the weights of an edited trace, `before` what came of it before the last edit.
@@ -96,7 +104,7 @@ class Judge:
         try:
             truth, corrected = self.truth(name, source, context), self._corrected(name, context.frame.id)
             if truth is None:
-                return None
+                return self._unseen(name, trace, None)
             rejected = None if corrected is None or expression is None else withdrawn_by(corrected, expression)
             if rejected is not None:
                 return rejected
@@ -105,9 +113,12 @@ class Judge:
             if corrected is not None and case is not None:
                 known["case"] = answered_case(corrected, truth, case, trace)
             evidence = before.evidence if isinstance(before, Diagnosis) else None
-            return self._mapped(name, judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known))
+            found = judge_trace(trace, source, context, truth, rank=rank, before=evidence, **known)
         except InputError as error:
-            return str(error)
+            found = str(error)
+        if isinstance(found, str):
+            return self._unseen(name, trace, found) or found
+        return self._mapped(name, found, trace.query.text)
 
     def judge_refused(
         self, name: str, source: Pipeline, context: PreparedFrame, expression: str | None
@@ -118,14 +129,33 @@ class Judge:
             known = self.known(name, context.frame.id, truth, expression, source)
             if truth is None or known["case"] is None:
                 return None
-            return self._mapped(name, judge_refused(source, context, truth, known.pop("case"), **known))
+            case = known.pop("case")
+            found = judge_refused(source, context, truth, case, **known)
+            return found if isinstance(found, str) else self._mapped(name, found, case.text)
         except InputError as error:
             return str(error)
 
-    def _mapped(self, name: str, found: Diagnosis | str) -> Diagnosis | str:
-        """Verdict by the object maps of a source's run, if it has any."""
-        maps = None if name not in self._runs else self._runs[name].maps
-        return found if maps is None or isinstance(found, str) else maps.judged(found)
+    def _mapped(self, name: str, found: Diagnosis, text: str) -> Diagnosis:
+        """Verdict by the object maps of a source's run, or by what its saved case keeps of one, if there is any."""
+        if name in self._cases:
+            unseen = self._kept_unseen(name, text)
+            return found if unseen is None else not_seen(found, unseen)
+        maps = self._maps(name)
+        return found if maps is None else maps.judged(found)
+
+    def _unseen(self, name: str, trace: Trace, reason: str | None) -> Unseen | None:
+        """What the frame does not show, of an answer without a verdict for a reason."""
+        if name in self._cases:
+            return self._kept_unseen(name, trace.query.text)
+        maps = self._maps(name)
+        return None if maps is None else maps.answered(Answer(trace.query.text, trace, unjudged=reason)).unseen
+
+    def _maps(self, name: str) -> SceneMaps | None:
+        return None if name not in self._runs else self._runs[name].maps
+
+    def _kept_unseen(self, name: str, text: str) -> Unseen | None:
+        kept = self._cases[name].manifest
+        return kept.unseen if kept.text == text else None
 
     def known(
         self, name: str, frame: str, truth: FrameCases | None, expression: str | None, source: Pipeline | None = None
@@ -138,12 +168,15 @@ class Judge:
         run = second if second is not None and second.source is source else self._runs.get(name)
         corrected = self._corrected(name, frame)
         mark = None if run is None else run.spec.marks.get((frame, expression or ""))
+        confidence, kept = None if run is None else run.spec.confidence, self._cases.get(name)
+        if kept is not None:
+            mark, confidence = kept.mark if kept.case and kept.case.id == expression else None, kept.confidence
         if corrected is not None and expression is not None:
             mark = effective_mark(corrected, expression, mark)
         return {
             "case": None if truth is None else next((c for c in truth.cases if c.id == expression), None),
             "mark": mark,
-            "confidence": None if run is None else run.spec.confidence,
+            "confidence": confidence,
         }
 
     def other(
@@ -163,9 +196,11 @@ class Judge:
         except InputError as error:
             return OtherAnswer(text, problem=str(error), name=named)
         found = self.judge(name, source, context, trace, expression)
-        if isinstance(found, str):
-            return OtherAnswer(text, trace, unjudged=found, name=named)
-        return OtherAnswer(text, trace, diagnosis=found, name=named)
+        if isinstance(found, Diagnosis):
+            return OtherAnswer(text, trace, diagnosis=found, name=named)
+        if isinstance(found, Unseen):
+            return OtherAnswer(text, trace, unseen=found, name=named)
+        return OtherAnswer(text, trace, unjudged=found, name=named)
 
 
 REASON = "this pair is correct"

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.pair_table import ScoredPair
+from pipeline.diagnosis.answer import Judged
 from pipeline.diagnosis.story import really
 from pipeline.diagnosis.story_words import words
 from pipeline.diagnosis.verdict import Diagnosis, Missed
@@ -43,7 +44,7 @@ class Card:
 
 
 def cards_of(
-    trace: Trace | None, judged: Diagnosis | str | None, pair: ScoredPair | None, name: Callable[[int], str]
+    trace: Trace | None, judged: Judged, pair: ScoredPair | None, name: Callable[[int], str]
 ) -> tuple[Card, ...]:
     """Cards of a pair of an answer: the answer, and beside it what is right where that is another one.
 

@@ -48,10 +48,7 @@ class SceneMaps:
             return d
         found = [_labelled(made, d, int(k), d.missed_name) for k in _wanted(d)]
         unseen = _unseen(made, d.truth.frame, d.missed_name, [o for each in found for o in each])
-        if unseen is None or not all(found):
-            return d
-        d = replace(d, verdict=NOT_SEEN, detail=unseen.detail, missed=None, needed_score=None, unseen=unseen)
-        return replace(d, story=unseen.story("right"))
+        return d if unseen is None or not all(found) else not_seen(d, unseen)
 
     def answered(self, found: Answer) -> Answer:
         """Answer with the verdict NOT-SEEN, where one applies.
@@ -72,6 +69,24 @@ class SceneMaps:
             if unseen is not None:
                 return replace(found, unseen=unseen)
         return found
+
+
+def not_seen(d: Diagnosis, unseen: Unseen) -> Diagnosis:
+    """Verdict NOT-SEEN in place of one that blames the detector; the same where none is blamed."""
+    if d.missed is None:
+        return d
+    d = replace(d, verdict=NOT_SEEN, detail=unseen.detail, missed=None, needed_score=None, unseen=unseen)
+    return replace(d, story=unseen.story("right"))
+
+
+def answer_unseen(found: Answer, unseen: Unseen | None) -> Answer:
+    """Answer with the verdict NOT-SEEN by evidence that was kept, where it still lacks what is not in view."""
+    d = found.diagnosis
+    if unseen is None or (d is None and found.trace is None):
+        return found
+    if d is not None:
+        return replace(found, diagnosis=not_seen(d, unseen))
+    return replace(found, unseen=unseen)
 
 
 def open_scene_maps(folder: str | Path, dataset: Dataset | None = None) -> SceneMaps:

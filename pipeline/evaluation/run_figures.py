@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from pipeline.datasets.base import load_picture
+from pipeline.diagnosis.answer import Judged
 from pipeline.diagnosis.story_words import Tone
 from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.browsing import RunRows, completions, labelled_boxes
@@ -233,7 +234,7 @@ class Recorded:
     head: str
     sentence: str
 
-    def is_that(self, judged: Diagnosis | str | None) -> bool:
+    def is_that(self, judged: Judged) -> bool:
         """Compare with a verdict of now."""
         return isinstance(judged, Diagnosis) and (self.verdict, self.detail, self.lucky) == (
             judged.verdict,

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.cards import Card, cards_of
 from pipeline.diagnosis.story_words import Story, Tone, capital
-from pipeline.diagnosis.verdict import shown_verdict
+from pipeline.diagnosis.verdict import NOT_SEEN, shown_verdict
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import ON_DARK, RGB, Role
 from pipeline.pictures.looks import INK, Look, draw_names, frame_shown, free_corner, scene_shown
@@ -114,7 +114,7 @@ def _question(answer: Answer) -> Text:
 def _told(answer: Answer) -> Story:
     """Story of an answer; without a verdict it is the answer itself."""
     told = answer.story
-    if answer.diagnosis is not None or not answer.pairs:
+    if answer.diagnosis is not None or answer.unseen is not None or not answer.pairs:
         return told
     return replace(told, sentence=f"{capital(answer.sentence.replace('·', ' '))}.", mend=told.sentence)
 
@@ -225,6 +225,8 @@ def _draw_foot(image: np.ndarray, look: Look, dataset: str) -> None:
             x = draw_text(image, plain(name, DIM), (x + 36, y), face) + 24
     judged, frame = look.answer.diagnosis, look.frame
     verdict = "" if judged is None else shown_verdict(judged.verdict, judged.detail, judged.lucky)
+    if look.answer.unseen is not None:
+        verdict = shown_verdict(NOT_SEEN, look.answer.unseen.detail)
     told = " · ".join(filter(None, (dataset, "" if frame is None else f"frame {frame.id}", verdict)))
     mark = plain("spatialviz", WORDS)
     end = SIZE[0] - EDGE - width_of(mark, font(14, True))

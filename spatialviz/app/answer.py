@@ -11,7 +11,7 @@ from pipeline.answering.ask import Trace
 from pipeline.diagnosis.cards import Card, CardObject, cards_of
 from pipeline.diagnosis.story import unjudged_story
 from pipeline.diagnosis.story_words import TRUTHS, Story, capital
-from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, shown_detail, shown_verdict
+from pipeline.diagnosis.verdict import MODULE_OF, NOT_SEEN, Diagnosis, Unseen, shown_detail, shown_verdict
 from pipeline.diagnosis.whatif.answer_view import BothAnswers
 from pipeline.diagnosis.whatif.changes import became, each_edit
 from pipeline.evaluation.run_figures import Recorded, judged_by
@@ -61,7 +61,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     return panel(
         level_html(state),
         switch_html(state, told.tone),
-        _head(state, said, recorded or (state.judged if isinstance(state.judged, Diagnosis) else None)),
+        _head(state, said, recorded or (None if isinstance(state.judged, str) else state.judged)),
         before,
         _cards(state),
         why,
@@ -78,6 +78,8 @@ def story_of(state: State) -> Story:
     judged, trace = state.judged, state.trace
     if isinstance(judged, Diagnosis):
         return judged.story
+    if isinstance(judged, Unseen):
+        return judged.story("any")
     told = unjudged_story(trace, state.error or None, judged)
     pair = state.chosen or next(iter(state.ranked), None)
     if trace is None or pair is None:
@@ -86,12 +88,12 @@ def story_of(state: State) -> Story:
     return replace(told, sentence=f"{capital(answer)}.", mend=told.sentence)
 
 
-def _head(state: State, shown: Story | Recorded, judged: Diagnosis | Recorded | None) -> Element:
+def _head(state: State, shown: Story | Recorded, judged: Diagnosis | Unseen | Recorded | None) -> Element:
     """Verdict in words; below it the blamed step, and how many answers of the run are like it."""
     below, listing = None, state.listing
     if judged is not None:
-        verdict, detail = judged.verdict, judged.detail
-        code = shown_verdict(verdict, detail, judged.lucky)
+        verdict, detail = NOT_SEEN if isinstance(judged, Unseen) else judged.verdict, judged.detail
+        code = shown_verdict(verdict, detail, not isinstance(judged, Unseen) and judged.lucky)
         known = listing is not None and verdict != "CORRECT" and state.side != "b"
         alike = listing.figures.counts.get((verdict, detail or None), 0) if known and listing is not None else 0
         do = f"alike:{verdict} {detail or ''}".strip()
@@ -173,8 +175,10 @@ def before_html(state: State, edited: BothAnswers) -> Element:
     )
 
 
-def verdict_chip_of(judged: Diagnosis) -> Element:
+def verdict_chip_of(judged: Diagnosis | Unseen) -> Element:
     """Chip with the verdict in its colour, and the tooltip."""
+    if isinstance(judged, Unseen):
+        return verdict_chip(NOT_SEEN, judged.detail, False)
     return verdict_chip(judged.verdict, judged.detail, judged.lucky)
 
 
@@ -182,7 +186,7 @@ def _recorded(state: State) -> Element:
     """Present verdict beside that of the run, where the two differ."""
     judged, run = state.judged, None if state.listing is None else state.listing.figures.run
     by = "" if run is None else judged_by(run.manifest)
-    now: Child = verdict_chip_of(judged) if isinstance(judged, Diagnosis) else judged or "no verdict"
+    now: Child = judged if isinstance(judged, str) else "no verdict" if judged is None else verdict_chip_of(judged)
     why = by or "labels, models or data are not those of the run any more"
     return h.p("So says the run. Judged now: ", now, f". The run: {why}.", cls="sub")
 
@@ -209,7 +213,8 @@ def verdict_evidence(state: State, trace: Trace) -> list[Child]:
     """Repairs of the answer, and the answer of the other run."""
     judged = state.judged
     if not isinstance(judged, Diagnosis):
-        return [h.p(UNKNOWN if judged is None else f"No verdict: {judged}.", cls="dim")]
+        told = judged.story("any").sentence if isinstance(judged, Unseen) else f"No verdict: {judged}."
+        return [h.p(UNKNOWN if judged is None else told, cls="dim")]
     return [None if state.other is None else both_html(state, trace, state.other), *_oracles(judged)]
 
 

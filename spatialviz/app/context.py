@@ -6,7 +6,7 @@ import inspect
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from datetime import datetime
 from functools import cache, cached_property, partial
 from typing import Any, TypeVar, get_type_hints
@@ -19,6 +19,7 @@ from pipeline.corrections.label_editor import LabelEditors
 from pipeline.corrections.unsaved import JournalLocation
 from pipeline.datasets.base import has_moves
 from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.cases.saving import OpenedCase
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
@@ -49,6 +50,7 @@ class Shared:
     author: str | None = None  # Default author of corrections, replaced by the page's
     opened_by: tuple[str, ...] = ()  # Command line, for commands reopening the page
     first_view: ViewState | None = None  # Initial view
+    cases: Mapping[str, OpenedCase] = field(default_factory=dict)  # Saved cases, by pipeline name
     dark: bool | None = None  # None for the browser's own
     alone: bool = True  # Server reachable from this machine only: pages may load files
 
@@ -87,8 +89,14 @@ class Context:
         source, opened = next(iter(shared.store.sources.items()))
         first = opened.dataset.frame_ids[0]
         # Set by the page's own thread only.
+        kept = shared.cases.get(source)
         self.state = State(
-            source, first, dark=shared.dark is not False, text=DEMO_EXPRESSION, correctable=bool(shared.journals)
+            source,
+            first,
+            dark=shared.dark is not False,
+            text=DEMO_EXPRESSION if kept is None else kept.manifest.text,
+            kept=None if kept is None or kept.case is None else (kept.case.text, kept.case.id),
+            correctable=bool(shared.journals),
         )
         self.shown: str | None = None  # `Command.shown` of what is handled now
 

@@ -21,6 +21,7 @@ from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.pipeline import Pipeline
 from pipeline.corrections.unsaved import JournalLocation, dump_unsaved
 from pipeline.datasets.demo import demo_path
+from pipeline.diagnosis.cases.saving import OpenedCase
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
@@ -51,6 +52,7 @@ def start(
     author: str | None = None,
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
+    cases: Mapping[str, OpenedCase] | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool | None = None,
@@ -81,6 +83,7 @@ def start(
             author,
             tuple(opened_by),
             first_view,
+            cases or {},
             dark,
             access.open,
         )
@@ -98,6 +101,7 @@ def serve(
     author: str | None = None,
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
+    cases: Mapping[str, OpenedCase] | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool | None = None,
@@ -118,6 +122,7 @@ def serve(
         author=author,
         opened_by=opened_by,
         first_view=first_view,
+        cases=cases,
         host=host,
         port=port,
         dark=dark,

@@ -15,9 +15,9 @@ from pipeline.corrections.judging import Judge
 from pipeline.corrections.label_editor import ANYTHING, Target
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.answer import Judged
 from pipeline.diagnosis.asking import why_refused
 from pipeline.diagnosis.suggestions import SuggestedQuestions, completions, first_answered, suggest_questions
-from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import NOTHING, shown_objects
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, UnknownClass, require
@@ -71,7 +71,7 @@ class PageSession(Part):
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
         self._filling = filling.Filling(ctx)
-        self._judge = Judge(shared.runs, shared.labels, shared.others, ctx.editors.corrected)
+        self._judge = Judge(shared.runs, shared.labels, shared.others, ctx.editors.corrected, shared.cases)
         ctx.client.camera.on_update(self._turned)
         self._selection = Selection(ctx, self.reopen)
         self._aids, self._cloud = frame_cloud.SceneAids(ctx), frame_cloud.FrameCloud(ctx)
@@ -376,7 +376,7 @@ class PageSession(Part):
         if draw:
             self.draw()
 
-    def _judged(self, trace: Trace, rank: RankConfig | None = None) -> Diagnosis | str | None:
+    def _judged(self, trace: Trace, rank: RankConfig | None = None) -> Judged:
         """Verdict on an answer of the current frame; `rank` holds the weights of an edited answer."""
         state, expression = self.state, self.state.expression_id(trace.query.text)
         source = self.ctx.answering

@@ -162,6 +162,7 @@ class State(AnswerView):
     dark: bool = True
     offers: SuggestedQuestions = field(default_factory=SuggestedQuestions)  # Suggested questions
     listing: Listing | None = None  # Search of the pipeline's run
+    kept: tuple[str, str] | None = None  # Text and id of the expression of the open saved case
     mode: EditMode = "off"  # Handles of the selected object's box
     labels: LabelView | None = None  # Shown labels, in place of an answer
     correctable: bool = False  # True with open, correctable labels
@@ -184,9 +185,9 @@ class State(AnswerView):
         return "label" if self.labels is not None else "evaluate" if self.evaluating else "explain"
 
     def expression_id(self, text: str) -> str | None:
-        """Id of the run's expression with this text: the open expression, else the frame's first."""
+        """Id of the run's expression with this text: the open expression, else the frame's first; or a saved case's."""
         if self.listing is None:
-            return None
+            return self.kept[1] if self.kept is not None and self.kept[0] == text else None
         at, rows = self.listing.at, self.listing.figures.rows
         if at is not None and (at[0], at[2]) == (self.frame_id, text):
             return at[1]

@@ -139,7 +139,8 @@ class Exports(Part):
     ) -> None:
         run = self.ctx.run
         origin = {} if run is None else {"run": str(run.folder), "expression": expression}
-        save_case(folder, self.ctx.source, context, text, run=origin, **given)
+        maps = None if run is None else run.maps
+        save_case(folder, self.ctx.source, context, text, run=origin, maps=maps, **given)
 
     @command("report")
     def report(self) -> None:

@@ -13,6 +13,7 @@ import viser.transforms as vtf
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.ranking import RankConfig
+from pipeline.diagnosis.answer import Judged
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
 from pipeline.diagnosis.whatif.answer_view import BothAnswers
@@ -143,7 +144,7 @@ def _matrix(handle: Retained) -> np.ndarray:
 UNDOS = 200
 COUNTING_SECONDS = 20.0
 """Time in which a run is answered again."""
-Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
+Judge = Callable[[Trace, RankConfig | None], Judged]
 
 
 class WhatIf(Part):
@@ -153,7 +154,7 @@ class WhatIf(Part):
         super().__init__(ctx)
         self._judge = judge
         self._baseline: Baseline | None = None
-        self._judged: Diagnosis | str | None = None
+        self._judged: Judged = None
         self._of: tuple[str, ...] | None = None
         self._undo: list[Edits] = []
         self._live_since: Edits | None = None

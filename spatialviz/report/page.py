@@ -20,7 +20,6 @@ from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.pipeline import Pipeline
 from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.cases.manifest import PROPOSALS
 from pipeline.diagnosis.cases.saving import OpenedCase
 from pipeline.diagnosis.whatif.answer_view import NOTHING, ShownObjects
 from pipeline.diagnosis.whatif.edits import Edits, read_edits
@@ -192,9 +191,7 @@ class Subject:
         facts += [(str(key), str(value)) for key, value in m.run.items()]
         facts += [("note", note) for note in opened.notes]
         dataset = m.dataset.get("name", "")
-        recording = str(opened.root / PROPOSALS)
-        view = shlex.join(["spatialviz", "view", root, "--detector", "recorded", "--model", recording])
-        commands = (shlex.join(["spatialviz", "replay", root]), *([view] if PROPOSALS in m.files else []))
+        commands = tuple(shlex.join(["spatialviz", name, root]) for name in ("replay", "view"))
         return Subject(
             dataset,
             m.frame.id,

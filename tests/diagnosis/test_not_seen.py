@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from scenes import camera_of, frame_of, upright
 from pipeline.answering import Pipeline, open_pipeline
 from pipeline.datasets import InMemoryDataset
 from pipeline.diagnosis import shown_verdicts
-from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.asking import ask_and_judge, frame_truth, judged
+from pipeline.diagnosis.cases.replay import replay_case
+from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.not_seen import SceneMaps
 from pipeline.geometry import Frame
 from pipeline.proposals import Proposals
@@ -87,6 +90,23 @@ def test_what_is_hidden_is_not_missed(maps: SceneMaps, text: str, blamed: str) -
     assert "bad" not in {stage["mark"] for stage in found.record()["stages"]}
     # What is known of the answer stays as it was.
     assert found.record()["answer"] == before.record()["answer"]
+
+
+def test_a_case_keeps_what_its_frame_does_not_show(maps: SceneMaps, tmp_path: Path) -> None:
+    pipeline = opened(AnnotationDetector(NAMES))
+    truth = frame_truth(pipeline, pipeline.prepare(BEFORE))
+    assert truth is not None
+    with_truth = {"truth": replace(truth, frame=AFTER), "maps": maps}
+    kept = save_case(tmp_path / "known", pipeline, pipeline.prepare(AFTER), "mug right of the lamp", **with_truth)
+    assert kept.verdict == "NOT-SEEN"
+    again = open_case(tmp_path / "known")
+    assert again.manifest.unseen is not None
+    assert replay_case(again).same
+    assert answer_record(again.answer()) == answer_record(kept)
+    # And where no truth judges it.
+    kept = save_case(tmp_path / "unknown", pipeline, pipeline.prepare(NEITHER), "mug right of the lamp", maps=maps)
+    assert kept.unseen is not None
+    assert open_case(tmp_path / "unknown").answer().unseen == kept.unseen
 
 
 def test_what_is_in_view_and_was_overlooked_is_the_detectors_fault(maps: SceneMaps) -> None:

@@ -50,6 +50,8 @@ class KeptAnswer(BaseModel, extra="forbid"):
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
     refused: str | None = None
+    why: str | None = None
+    """The refusal without its advice; as `refused` where none is kept."""
 
 
 class KeptProposals(BaseModel, extra="forbid"):
@@ -82,7 +84,7 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
         try:
             found = detector.detect(frame, [name])
         except InputError as error:
-            asked[name] = {"refused": str(error)}
+            asked[name] = {"refused": str(error), "why": error.what}
             continue
         given = keep(found)
         # The same detector twice would keep what has no identity twice.
@@ -123,7 +125,9 @@ class KeptDetector:
                     f"the case has no detections of {name!r}", expected=", ".join(self.kept.asked), path=self.path
                 )
             if answer.refused is not None and labels is not None:
-                raise UnknownClass(answer.refused)
+                refusal = UnknownClass(answer.refused)
+                refusal.what = answer.why or answer.refused
+                raise refusal
             index += answer.unfiltered if self.everything else answer.given
         rows = self.kept.frames.get(frame.id)
         if rows is None:

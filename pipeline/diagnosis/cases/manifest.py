@@ -15,6 +15,7 @@ from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.predictions import Predictions
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.saved_case import CASE_FORMAT, DAMAGED, MANIFEST, Four, SavedFrame, Three
+from pipeline.diagnosis.verdict import Unseen
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
@@ -172,6 +173,8 @@ class CaseManifest(_Strict):
     """Of a case of another pipeline."""
     config: Config
     truth: dict[str, Any] | None
+    unseen: Unseen | None = None
+    """What the frame does not show and the object map of its scene does."""
     edits: dict[str, Any] | None
     run: dict[str, Any]
     expected: dict[str, Any]

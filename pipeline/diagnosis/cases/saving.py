@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
@@ -51,6 +51,7 @@ from pipeline.diagnosis.cases.manifest import (
     read_truth,
     truth_record,
 )
+from pipeline.diagnosis.not_seen import SceneMaps, answer_unseen
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.expression import parse
 from pipeline.language.naming import default_synonyms
@@ -76,6 +77,7 @@ def save_case(
     case: Case | None = None,
     mark: str | None = None,
     confidence: float | None = None,
+    maps: SceneMaps | None = None,
     edits: Edited | None = None,
     run: Mapping[str, Any] | None = None,
     name: str | None = None,
@@ -95,6 +97,8 @@ def save_case(
         What is true of the frame; without it there is no verdict.
     case, mark, confidence
         As for `pipeline.diagnosis.asking.judge_trace`.
+    maps : SceneMaps, optional
+        Object maps of the frame's scene, by which the verdict may be NOT-SEEN.
     edits : mapping, optional
         Edits as JSON (`pipeline.diagnosis.whatif.edits_record`).
     run : mapping, optional
@@ -123,6 +127,7 @@ def save_case(
         path=folder,
     )
     now = answer(pipeline, context, text, truth=truth, case=case, mark=mark, confidence=confidence, edits=edits)
+    now = now if maps is None else maps.answered(now)
     frame, files = saved_frame(context.frame)
     shown, made_relations = None, pipeline.scorer
     if isinstance(pipeline, ImportedPipeline):
@@ -135,6 +140,7 @@ def save_case(
         files[NETWORK] = network
     judged = now.diagnosis
     known = None if judged is None else truth_record(judged.truth, judged.case, mark, confidence)
+    unseen = now.unseen if judged is None else judged.unseen
     record = answer_record(now)
     detector = pipeline.needed_detector()
     reading = None if pipeline.reader is parse else TypeAdapter(Query).dump_python(pipeline.read(text), mode="json")
@@ -156,13 +162,14 @@ def save_case(
         "detector": {
             "name": detector.name,
             "exact": detector.exact,
-            "vocabulary": None if pipeline.dataset.class_names or shown is not None else detector.vocabulary,
+            "vocabulary": None if shown is not None else detector.vocabulary,
             "fingerprint_sha256": hashlib.sha256(detector.fingerprint().encode()).hexdigest(),
         },
         "scorer": scorer.model_dump(mode="json"),
         **({} if shown is None else {"shown": shown.model_dump(mode="json")}),
         "config": config_record(pipeline.config),
         "truth": known,
+        **({} if unseen is None else {"unseen": asdict(unseen)}),
         "edits": dict(edits) if edits else None,
         "run": dict(run or {}),
         "expected": record if expected is None else dict(expected),
@@ -205,7 +212,9 @@ def _write_whole(folder: Path, files: dict[str, bytes], pipeline: Pipeline, reco
 
 
 def _proposals(pipeline: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
-    names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
+    # A detector of its own names only is asked for the noun of "blue book".
+    asked = () if now.trace is None else now.trace.query.asked
+    names = [label if phrase is None else phrase for label, phrase in asked]
     case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
         names += filter(None, (case.target, case.reference))
@@ -258,7 +267,7 @@ class OpenedCase:
 
     def answer(self) -> Answer:
         """Answer and judge now."""
-        return answer(
+        found = answer(
             self.source,
             self.context,
             self.manifest.text,
@@ -268,6 +277,7 @@ class OpenedCase:
             confidence=self.confidence,
             edits=self.manifest.edits,
         )
+        return answer_unseen(found, self.manifest.unseen)
 
     def expect(self, record: dict[str, Any]) -> None:
         """Put another expected answer into the manifest, whole or not at all."""

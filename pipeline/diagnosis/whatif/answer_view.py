@@ -13,7 +13,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.answer import Answer, Judged
 from pipeline.diagnosis.story_words import UNTOLD, Story
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.edits import Edits
@@ -117,7 +117,7 @@ class BothAnswers:
 
     before: Outcome
     after: Outcome
-    judged: Diagnosis | str | None  # The verdict on the one before
+    judged: Judged  # The verdict on the one before
     seconds: float  # What answering again took the core
 
     @property
@@ -153,7 +153,7 @@ class AnswerView:
     pair: tuple[int, ...] | None = None
     selected: int | None = None  # Place in `shown.objects`
     # The verdict on the answer, why there is none, or None where nothing is known of the truth
-    judged: Diagnosis | str | None = None
+    judged: Judged = None
     other: OtherAnswer | None = None  # The answer of a run to compare with
     edits: Edits = field(default_factory=Edits)  # Of the question that is asked; they stay when it is asked again
     # `trace` is the answer under the edits, and this has the one without them; None where nothing is edited
@@ -316,9 +316,7 @@ class AnswerView:
         found = {(True, True): "the same pair", (True, False): "the same target, another reference"}
         return found.get((same[0], same[1]), "another target")
 
-    def under(
-        self: View, edits: Edits, edited: BothAnswers, judged: Diagnosis | str | None, keys: tuple[str, ...]
-    ) -> View:
+    def under(self: View, edits: Edits, edited: BothAnswers, judged: Judged, keys: tuple[str, ...]) -> View:
         """View with an answer under edits; `keys` are those of the objects of the trace until now.
 
         The selection stays. The chosen pair stays, too, unless it was the answer: then it is the new one.
