@@ -52,6 +52,14 @@ def missing_row(line: Prediction, gold: tuple[str, str, str] | None = None) -> t
     return _lacking(line, gold or _asked(line))
 
 
+def has_pairs(line: Prediction) -> bool:
+    """True for a line with relation rows, and of a plain one with two things that could be its target and reference."""
+    asked = _asked(line)
+    first, second = _ends(line, asked)[1]
+    paired = asked is None or any(a != b for a in first for b in second)
+    return paired and any((line.relations or {}).values())
+
+
 def _lacking(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, int, int] | None:
     relation, (first, second) = _ends(line, asked)
     rows = {row[:2] for row in (line.relations or {}).get(relation, ())}

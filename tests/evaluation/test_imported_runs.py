@@ -164,6 +164,30 @@ def test_relations_without_boxes_are_level_3(folder: Path, tmp_path: Path) -> No
     assert source.predictions.level == 3
 
 
+def test_rows_of_other_things_are_no_answer_that_was_passed_over(folder: Path, tmp_path: Path) -> None:
+    """Without any target there is nothing to rank, also where the line tells how its references stand."""
+    costs = []
+    for told in (False, True):
+
+        def blind(lines: list[dict[str, Any]], told: bool = told) -> None:
+            for line in lines[1:]:
+                first, second, *_ = [*line["proposals"], None]
+                ids = [p["id"] for p in line["proposals"].get(second, ()) if not p.get("dropped")]
+                if len(ids) < 2 or line.get("answer") is None:
+                    continue
+                line["proposals"][first] = []
+                line["boxes_3d"] = {k: v for k, v in line["boxes_3d"].items() if int(k) in ids}
+                between = [[a, b, 0.5] for a in ids for b in ids if a != b] if told else []
+                line |= {"answer": None, "problem": "nothing", "relations": dict.fromkeys(line["relations"], between)}
+
+        path = changed(folder, tmp_path, blind)
+        import_run(path, "demo", folder / "labels", tmp_path / str(told), plots=False)
+        run = open_run(tmp_path / str(told))
+        assert any(r["right_with"] for r in rows(run) if r["verdict"] == "OPM-TARGET")
+        costs.append(json.loads((run.folder / "diagnosis.json").read_text())["systems"])
+    assert costs[0] == costs[1]
+
+
 @pytest.mark.parametrize(("unit", "far"), [("pixels", 1), ("shares", 640)])
 def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: Any, far: float) -> None:
     def point(k: int) -> tuple[float, float]:
