@@ -28,6 +28,7 @@ from pipeline.answering.imported import open_imported
 from pipeline.diagnosis import answer_record, ask_and_judge, open_case, save_case
 from pipeline.diagnosis.asking import edited_trace
 from pipeline.evaluation import EvalSpec, Run, evaluate_dataset, export_run, import_run, open_run
+from pipeline.evaluation.row_stories import row_head
 from pipeline.geometry import RunLength
 from pipeline.labels import SourceSpec, label_dataset
 from pipeline.system import InputError
@@ -151,6 +152,7 @@ def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
         same = full in {"CORRECT", "LABEL"} | (known - {"LIFT"})
         assert (row["verdict"] == full) if same else row["verdict"] in {"UNEXPLAINED", "LIFT"}, (row, full)
         assert row["right_with"] is None
+        assert (row_head(row)[1] == "A 3D box is off") == (row["verdict"] == "LIFT"), row["said"]
         assert ("level" in row["said"]) == (row["verdict"] == "UNEXPLAINED")
 
 
