@@ -1,7 +1,8 @@
 """Pictures of the documents, taken from the page in Chromium: `python .ci/site/shots.py [--only NAME ...]`.
 
 `shots.toml` says which: the data that is shown, the steps to what a picture shows, and the numbers drawn on it.
-Needs playwright and Chromium (`.ci/check` says how). Data is made once, under `--work`.
+Needs playwright and Chromium (`.ci/check` says how), and in DETECTOR a YOLO export with masks, of COCO's names, for the
+pictures of a detector. Data is made once, under `--work`.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -174,16 +176,27 @@ def take(tab: Tab, shot: dict[str, Any], address: str) -> Image.Image:
     return picture
 
 
-def prepare(kind: dict[str, Any], folder: Path) -> None:
-    """Run the commands that make the data of a server, once."""
+def shell(line: str) -> str:
+    """A command of `shots.toml` for bash: `spatialviz` is this clone's, DETECTOR a model file from the environment."""
+    line = line.replace("{root}", str(ROOT)).replace("FILE.onnx", os.environ.get("DETECTOR", "FILE.onnx"))
+    return line.replace("spatialviz ", f"{sys.executable} -m spatialviz ")
+
+
+def prepare(commands: list[str], folder: Path) -> None:
+    """Run the commands that make a folder of data, once."""
     done = folder / ".made"
-    if done.exists() and done.read_text() == str(kind):
+    if done.exists() and done.read_text() == str(commands):
         return
-    folder.mkdir(parents=True, exist_ok=True)
-    for line in kind.get("prepare", ()):
-        command = line.replace("{root}", str(ROOT)).replace("spatialviz ", f"{sys.executable} -m spatialviz ")
-        subprocess.run(["bash", "-ec", command], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-    done.write_text(str(kind))
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for command in commands:
+        subprocess.run(["bash", "-ec", shell(command)], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    done.write_text(str(commands))
+
+
+def words(kind: dict[str, Any], new: str) -> list[str]:
+    """What stands after `spatialviz view`; `{new}` is a folder for a journal that nobody has written to."""
+    return shell(kind.get("view", "")).replace("{new}", new).split()
 
 
 def main() -> None:
@@ -198,10 +211,10 @@ def main() -> None:
     told.out.mkdir(parents=True, exist_ok=True)
     with chromium() as browser:
         for name, of_server in groupby(shots, lambda shot: shot.get("server", "demo")):
-            kind, folder = plan["server"][name], told.work / name
-            prepare(kind, folder)
-            words = kind.get("view", "").replace("{root}", str(ROOT)).split()
-            with Server(*words, folder=folder) as server:
+            kind = plan["server"][name]
+            folder = told.work / kind.get("data", "none")
+            prepare(plan["data"].get(kind.get("data"), []), folder)
+            with tempfile.TemporaryDirectory() as new, Server(*words(kind, new), folder=folder) as server:
                 for shot in of_server:
                     size = dict(zip(("width", "height"), shot.get("size", (1440, 900)), strict=True))
                     tab = new_tab(browser, "painted", viewport=size, color_scheme=shot.get("theme", "light"))
