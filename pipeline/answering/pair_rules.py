@@ -331,6 +331,16 @@ def _answered_first(answer: PredictedAnswer, scores: dict[Pair, float], ahead: f
     return {**scores, first: best + over + (ahead if scores[first] < best - over else 0.0)}
 
 
+def outranked(header: Header, line: Prediction) -> bool:
+    """True for an answered pair that the product of the header puts below another one."""
+    factors, answer = factors_of(line), line.answer
+    if answer is None or not factors:
+        return False
+    scores = _product(header, np.array(list(factors)), np.array(list(factors.values())))
+    own = [s for pair, s in zip(factors, scores, strict=True) if _answers(answer, pair)]
+    return bool(own) and max(own) < scores.max() - STEP * max(1.0, abs(scores.max()))
+
+
 def _product(header: Header, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
     least = np.array([MIN_SCORE, MIN_SCORE, MIN_RELATION])
     logs = np.log(np.clip(factors, least, [1 - MIN_SCORE, 1 - MIN_SCORE, np.inf]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
@@ -188,6 +189,27 @@ def test_rows_of_other_things_are_no_answer_that_was_passed_over(folder: Path, t
         assert any(r["right_with"] for r in rows(run) if r["verdict"] == "OPM-TARGET")
         costs.append(json.loads((run.folder / "diagnosis.json").read_text())["systems"])
     assert costs[0] == costs[1]
+
+
+def test_answers_beside_the_ranking_that_the_header_names_are_told(folder: Path, tmp_path: Path) -> None:
+    """Answered by the relation alone, or by the product that is named."""
+
+    def by_relation(lines: list[dict[str, Any]]) -> None:
+        del lines[0]["scorer"]
+        lines[0]["same"] = "ids"
+        for line in lines[1:]:
+            rows = next(iter(line["relations"].values()), [])
+            if line.get("answer") and rows:
+                a, b, _ = min(rows, key=lambda row: row[-1])
+                line["answer"] = {"object": a, "reference": b}
+
+    told = [
+        import_run(path, "demo", folder / "labels", tmp_path / path.stem, plots=False).causes
+        for path in (folder / "run.jsonl", changed(folder, tmp_path, by_relation))
+    ]
+    assert not any("best product" in words for words in told[0])
+    (words,) = (words for words in told[1] if "best product" in words)
+    assert re.match(r"\d+ of \d+ answers are not .*; the first: line \d+, answer. .*pair_scores", words)
 
 
 @pytest.mark.parametrize(("unit", "far"), [("pixels", 1), ("shares", 640)])
