@@ -202,7 +202,7 @@ class WhatifCommand(OfAnswer):
     edits: Path | None = None
     """JSON file of edits. Without any the objects are listed with the keys that edits name them by."""
     do: tuple[str, ...] = ()
-    """Edits in words, one after the other, as the page's Edit tab has them: "size:1:0.2" (height), "center:0:0.5"
+    """Edits in words, one after the other, as *What if* of the page has them: "size:1:0.2" (height), "center:0:0.5"
     (right), "yaw:30", "hide", "mask:grow:-2", "relation:0.1", "set:k:5", "set:scorer:rule"."""
     on: str | None = None
     """Key of the object that they are of. Default: the target of the answer."""

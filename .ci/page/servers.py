@@ -45,7 +45,7 @@ class Server:
         self._home = tempfile.TemporaryDirectory()
         own = {**os.environ, "XDG_DATA_HOME": self._home.name, "PYTHONFAULTHANDLER": "1"}
         self.started = time.monotonic()
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=own)
+        self.process = subprocess.Popen(command, cwd=folder, env=own, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
     @property
     def journal(self) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import re
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
@@ -28,6 +29,7 @@ from pipeline.evaluation.search import FAILURES
 from spatialviz.app.browse import Browse, listed_words
 from spatialviz.app.channel import Call, Command, Patch, write
 from spatialviz.app.context import Context, Idle, Shared, commands_of
+from spatialviz.app.figures_html import Sample, summary_html
 from spatialviz.app.frames import FramePictures
 from spatialviz.app.keys import keys_of, meant
 from spatialviz.app.layout import BrowserPage
@@ -156,6 +158,14 @@ def test_without_a_run_it_is_of_the_depth_once_that_is_read() -> None:
 )
 def test_the_place_in_the_list_of_the_run(query: str, place: int | None, words: str) -> None:
     assert listed_words(Listing(figures_of(opened()[0], None), query, found=np.arange(505)), place) == words
+
+
+def test_a_bar_of_what_a_module_costs_lists_its_failures() -> None:
+    listing = Listing(figures_of(opened()[0], None), "")
+    bars = re.findall(r'class="fall"[^>]* data-do="find:([^"]+)"', summary_html(Sample(listing.figures)).html)
+    counts = {query: len(listing.figures.rows.find(query)) for query in bars}
+    assert counts[f"{FAILURES} verdict:OPM-TARGET,OPM-REF"] == 273 + 89
+    assert min(counts.values()) > 0, counts
 
 
 def test_a_frame_is_opened_with_its_first_failure_that_is_listed() -> None:

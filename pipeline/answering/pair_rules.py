@@ -52,6 +52,14 @@ def missing_row(line: Prediction, gold: tuple[str, str, str] | None = None) -> t
     return _lacking(line, gold or _asked(line))
 
 
+def has_pairs(line: Prediction) -> bool:
+    """True for a line with relation rows, and of a plain one with two things that could be its target and reference."""
+    asked = _asked(line)
+    first, second = _ends(line, asked)[1]
+    paired = asked is None or any(a != b for a in first for b in second)
+    return paired and any((line.relations or {}).values())
+
+
 def _lacking(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, int, int] | None:
     relation, (first, second) = _ends(line, asked)
     rows = {row[:2] for row in (line.relations or {}).get(relation, ())}
@@ -321,6 +329,16 @@ def _answered_first(answer: PredictedAnswer, scores: dict[Pair, float], ahead: f
     if scores[first] > best + over:
         return scores
     return {**scores, first: best + over + (ahead if scores[first] < best - over else 0.0)}
+
+
+def outranked(header: Header, line: Prediction) -> bool:
+    """True for an answered pair that the product of the header puts below another one."""
+    factors, answer = factors_of(line), line.answer
+    if answer is None or not factors:
+        return False
+    scores = _product(header, np.array(list(factors)), np.array(list(factors.values())))
+    own = [s for pair, s in zip(factors, scores, strict=True) if _answers(answer, pair)]
+    return bool(own) and max(own) < scores.max() - STEP * max(1.0, abs(scores.max()))
 
 
 def _product(header: Header, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:

@@ -58,8 +58,10 @@ def unavailable_oracles(evidence: FrameEvidence, case: Case, gold: bool) -> dict
 
 
 def answers_nothing(line: Prediction) -> bool:
-    """True for a line without an answer for lack of any pair: more objects would have given a ranking."""
-    return line.relations is not None and line.answer is None and not any(line.relations.values())
+    """True for a line without an answer for lack of any candidate pair: more objects would have given a ranking."""
+    from pipeline.answering.pair_rules import has_pairs
+
+    return line.relations is not None and line.answer is None and not has_pairs(line)
 
 
 def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: str = "object") -> np.ndarray | None:

@@ -174,7 +174,8 @@ def _lost(d: Diagnosis, **_: Any) -> Kind:
     case, winner, right = d.case, d.winner, d.right
     if winner is None or right is None:
         if "LIFT" in d.repair:
-            return "box.alike", {}
+            line = d.evidence.answers.source.line
+            return "box.alike" if line is None or line.ranked else "box.given", {}
         kind = "one.alone" if winner is None else "one.alike" if case.target == case.reference else "one"
         return kind, {"targets": counted(2, case.target).removeprefix("2 ")}
     if d.detail == "DEGENERATE":

@@ -19,11 +19,13 @@ from pipeline.answering.batch import FrameAnswers
 from pipeline.answering.coordinate_conventions import box_2d, check_places
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.objects import prepare_frame
+from pipeline.answering.pair_rules import outranked
 from pipeline.answering.predictions import (
     Header,
     PredictedAnswer,
     PredictedBox,
     Prediction,
+    Predictions,
     Proposal,
     Weights,
     as_json,
@@ -114,6 +116,8 @@ def import_run(
         warnings += (f"the file has lines for {len(asked)} of the {total} expressions of the labels",)
     if (words := _beside_all(source, read)) is not None:
         causes += (words,)
+    if (words := _otherwise_ranked(file)) is not None:
+        causes += (words,)
     return replace(report, warnings=warnings, causes=causes)
 
 
@@ -198,6 +202,21 @@ def _of_records(message: str) -> str:
     """Reword a message about lines of a file for the header and records from 1."""
     numbered = re.sub(r"\bline (\d+)", lambda found: f"record {int(found[1]) - 1}", message)
     return numbered.replace("record 0", "header")
+
+
+def _otherwise_ranked(file: Predictions) -> str | None:
+    """A warning where more than a tenth of the answers are not the best by the product that the header names."""
+    if file.header.ranking != "product":
+        return None
+    answered = [line for line in file.lines.values() if line.ranked and line.answer is not None]
+    off = [line for line in answered if outranked(file.header, line)]
+    if len(off) <= len(answered) / 10:
+        return None
+    return (
+        f"{len(off)} of {len(answered)} answers are not the best product of their line, as the header says; "
+        f"the first: {file.where(off[0], 'answer')}. Does something else rank? "
+        'Then say "ranking": "pair_scores", with pairs, or "none"'
+    )
 
 
 def _beside_all(source: ImportedPipeline, labels: Labels) -> str | None:

@@ -71,6 +71,8 @@ def _kind(row: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         return kind, {"name": name, "target": name, "reference": name}
     if row["verdict"] == "UNEXPLAINED":
         return "level.3", {"Wrong": "Wrong" if answered else "Not answered"}
+    if row["verdict"] == "LIFT" and (row["said"] or "").startswith("The given 3D boxes"):
+        return "box.given", names
     if row["reference_box"] is None and row["reference"]:
         return "one", names
     return _lost(row, detail), names | {

@@ -104,6 +104,7 @@ def _waterfall(of: Sample, summary: RunSummary) -> tuple[Child, ...]:
     at, causes = base, ",".join(dict.fromkeys(verdict for verdict, _ in summary.residual_causes))
     queries = {
         "PARSE": "verdict:PARSE",
+        "RECALL": f"{FAILURES} verdict:OPM-TARGET,OPM-REF",
         "residual": f"verdict:{causes or 'LABEL'}",
         "unknown": f"{FAILURES} -untold:none" if "untold" in of.figures.columns else FAILURES,
     }

@@ -200,7 +200,7 @@ def _install(record: Mapping[str, Any], installed: str) -> Child:
     # Truncated at the left by right-to-left text; `bdi` keeps the ends in place.
     where = h.div(h.bdi(record["folder"]), cls="dim path", title=record["folder"])
     if installed:
-        return note(f"Installed: --srm {installed}; in the Edit tab it answers any question.", "good"), where
+        return note(f"Installed: --srm {installed}; under What if it answers any question.", "good"), where
     in_use, warning = record["in_use"], None
     if in_use is not None:
         now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))

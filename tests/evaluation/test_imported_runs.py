@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
@@ -28,6 +29,7 @@ from pipeline.answering.imported import open_imported
 from pipeline.diagnosis import answer_record, ask_and_judge, open_case, save_case
 from pipeline.diagnosis.asking import edited_trace
 from pipeline.evaluation import EvalSpec, Run, evaluate_dataset, export_run, import_run, open_run
+from pipeline.evaluation.row_stories import row_head
 from pipeline.geometry import RunLength
 from pipeline.labels import SourceSpec, label_dataset
 from pipeline.system import InputError
@@ -151,6 +153,7 @@ def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
         same = full in {"CORRECT", "LABEL"} | (known - {"LIFT"})
         assert (row["verdict"] == full) if same else row["verdict"] in {"UNEXPLAINED", "LIFT"}, (row, full)
         assert row["right_with"] is None
+        assert (row_head(row)[1] == "A 3D box is off") == (row["verdict"] == "LIFT"), row["said"]
         assert ("level" in row["said"]) == (row["verdict"] == "UNEXPLAINED")
 
 
@@ -162,6 +165,51 @@ def test_relations_without_boxes_are_level_3(folder: Path, tmp_path: Path) -> No
 
     source = open_imported(changed(folder, tmp_path, bare), "demo")
     assert source.predictions.level == 3
+
+
+def test_rows_of_other_things_are_no_answer_that_was_passed_over(folder: Path, tmp_path: Path) -> None:
+    """Without any target there is nothing to rank, also where the line tells how its references stand."""
+    costs = []
+    for told in (False, True):
+
+        def blind(lines: list[dict[str, Any]], told: bool = told) -> None:
+            for line in lines[1:]:
+                first, second, *_ = [*line["proposals"], None]
+                ids = [p["id"] for p in line["proposals"].get(second, ()) if not p.get("dropped")]
+                if len(ids) < 2 or line.get("answer") is None:
+                    continue
+                line["proposals"][first] = []
+                line["boxes_3d"] = {k: v for k, v in line["boxes_3d"].items() if int(k) in ids}
+                between = [[a, b, 0.5] for a in ids for b in ids if a != b] if told else []
+                line |= {"answer": None, "problem": "nothing", "relations": dict.fromkeys(line["relations"], between)}
+
+        path = changed(folder, tmp_path, blind)
+        import_run(path, "demo", folder / "labels", tmp_path / str(told), plots=False)
+        run = open_run(tmp_path / str(told))
+        assert any(r["right_with"] for r in rows(run) if r["verdict"] == "OPM-TARGET")
+        costs.append(json.loads((run.folder / "diagnosis.json").read_text())["systems"])
+    assert costs[0] == costs[1]
+
+
+def test_answers_beside_the_ranking_that_the_header_names_are_told(folder: Path, tmp_path: Path) -> None:
+    """Answered by the relation alone, or by the product that is named."""
+
+    def by_relation(lines: list[dict[str, Any]]) -> None:
+        del lines[0]["scorer"]
+        lines[0]["same"] = "ids"
+        for line in lines[1:]:
+            rows = next(iter(line["relations"].values()), [])
+            if line.get("answer") and rows:
+                a, b, _ = min(rows, key=lambda row: row[-1])
+                line["answer"] = {"object": a, "reference": b}
+
+    told = [
+        import_run(path, "demo", folder / "labels", tmp_path / path.stem, plots=False).causes
+        for path in (folder / "run.jsonl", changed(folder, tmp_path, by_relation))
+    ]
+    assert not any("best product" in words for words in told[0])
+    (words,) = (words for words in told[1] if "best product" in words)
+    assert re.match(r"\d+ of \d+ answers are not .*; the first: line \d+, answer. .*pair_scores", words)
 
 
 @pytest.mark.parametrize(("unit", "far"), [("pixels", 1), ("shares", 640)])
