@@ -28,6 +28,7 @@ WHY = {
     "pillow": "headers and EXIF of pictures, resizing exactly as the detectors were trained with; viser needs it too",
     "pyarrow": "labels, runs and tables are Parquet files",
     "scipy": "assignment, k-d trees, maximum flow, least squares, `.mat` files",
+    "sympy": "older ONNX Runtimes, of Python 3.10 alone, need it",
     "spatialviz": "the program with its demo dataset, demo run, and two small networks",
     "zstandard": "viser compresses its messages with it",
 }
@@ -70,7 +71,9 @@ def as_path(path: object):
 def licence_of(distribution: metadata.Distribution) -> str:
     """Licence as declared: the expression, the classifiers, or the first line of the text."""
     found = distribution.metadata
-    classified = [c.split(" :: ")[-1] for c in found.get_all("Classifier") or () if c.startswith("License :: OSI Approved ::")]
+    classified = [
+        c.split(" :: ")[-1] for c in found.get_all("Classifier") or () if c.startswith("License :: OSI Approved ::")
+    ]
     text = (found.get("License") or "").strip().partition("\n")[0]
     return found.get("License-Expression") or " AND ".join(classified) or text or "not declared"
 
@@ -95,7 +98,9 @@ def main() -> int:
     asked = tree(options.requirement)
     found = {name: metadata.distribution(name) for name in asked}
     if options.lock:
-        print(f"# Versions of {options.requirement}, Python {platform.python_version()}, {platform.platform(terse=True)}.")
+        print(
+            f"# Versions of {options.requirement}, Python {platform.python_version()}, {platform.platform(terse=True)}."
+        )
         print(f'# Renewed by: python .ci/release/packages.py "{options.requirement}" --lock > FILE')
         # A local part names a build, such as that of torch without CUDA, which no index of packages has.
         lines = (f"{name}=={one.version.partition('+')[0]}" for name, one in found.items() if name != "spatialviz")
@@ -113,7 +118,9 @@ def main() -> int:
         print("| " + " | ".join((*row, WHY.get(name, "") if large else "")) + " |")
         faults += [f"{name} is under {licence}"] * is_gpl(licence)
         faults += [f"{name} carries {library}, under the GPL" for library in sorted(carried & GPL_LIBRARIES)]
-        faults += [f"{name} takes {sizes[name] / MB:.0f} MB without a reason in {__file__}"] * (large and name not in WHY)
+        faults += [f"{name} takes {sizes[name] / MB:.0f} MB without a reason in {__file__}"] * (
+            large and name not in WHY
+        )
     total = sum(sizes.values())
     print(f"\n{total / MB:.0f} MB in {len(found)} packages, Python {platform.python_version()}")
     faults += [f"{total / MB:.0f} MB in all, more than {MOST // MB}"] * (total > MOST)
