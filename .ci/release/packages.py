@@ -14,6 +14,7 @@ import importlib.metadata as metadata
 import platform
 import re
 import sys
+from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -58,14 +59,8 @@ def tree(root: Requirement) -> dict[str, set[str]]:
 
 def size_of(distribution: metadata.Distribution) -> int:
     """Bytes of its files, compiled ones too."""
-    paths = (distribution.locate_file(file) for file in distribution.files or ())
-    return sum(path.stat().st_size for path in map(as_path, paths) if path.is_file())
-
-
-def as_path(path: object):
-    from pathlib import Path
-
-    return Path(str(path))
+    paths = (Path(str(distribution.locate_file(file))) for file in distribution.files or ())
+    return sum(path.stat().st_size for path in paths if path.is_file())
 
 
 def licence_of(distribution: metadata.Distribution) -> str:
@@ -99,7 +94,7 @@ def main() -> int:
     found = {name: metadata.distribution(name) for name in asked}
     if options.lock:
         print(
-            f"# Versions of {options.requirement}, Python {platform.python_version()}, {platform.platform(terse=True)}."
+            f"# Versions of {options.requirement}, Python {platform.python_version()}, {sys.platform} {platform.machine()}."
         )
         print(f'# Renewed by: python .ci/release/packages.py "{options.requirement}" --lock > FILE')
         # A local part names a build, such as that of torch without CUDA, which no index of packages has.
