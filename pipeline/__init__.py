@@ -16,8 +16,8 @@ import os
 from pipeline.system.lazy_exports import lazy_exports
 from pipeline.system.version import __version__ as __version__
 
-# Nothing leaves this machine unasked: unless this is set before it loads, ONNX Runtime reports its use to its maker, with
-# an id of the machine that it keeps on disk.
+# Nothing leaves this machine unasked: unless this is set before it loads, ONNX Runtime reports its use to its maker,
+# with an id of the machine that it keeps on disk.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 TYPE_CHECKING = False

@@ -93,9 +93,8 @@ def main() -> int:
     asked = tree(options.requirement)
     found = {name: metadata.distribution(name) for name in asked}
     if options.lock:
-        print(
-            f"# Versions of {options.requirement}, Python {platform.python_version()}, {sys.platform} {platform.machine()}."
-        )
+        system = f"Python {platform.python_version()}, {sys.platform} {platform.machine()}"
+        print(f"# Versions of {options.requirement}, {system}.")
         print(f'# Renewed by: python .ci/release/packages.py "{options.requirement}" --lock > FILE')
         # A local part names a build, such as that of torch without CUDA, which no index of packages has.
         lines = (f"{name}=={one.version.partition('+')[0]}" for name, one in found.items() if name != "spatialviz")

@@ -1,4 +1,4 @@
-"""A wheel holds what is kept under version control, and is small: `git ls-files pipeline spatialviz | python wheel.py WHEEL`."""
+"""Check that a wheel holds what is under version control: `git ls-files pipeline spatialviz | wheel.py WHEEL`."""
 
 import sys
 from pathlib import Path
