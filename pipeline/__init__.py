@@ -11,8 +11,14 @@ change without notice. `spatialviz` has the same face, and a screen. Data flows 
 scored -> ranked. Importing this package imports nothing but the standard library: a name is loaded when it is used.
 """
 
+import os
+
 from pipeline.system.lazy_exports import lazy_exports
 from pipeline.system.version import __version__ as __version__
+
+# Nothing leaves this machine unasked: unless this is set before it loads, ONNX Runtime reports its use to its maker,
+# with an id of the machine that it keeps on disk.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 TYPE_CHECKING = False
 # Type checkers take it for that of `typing`, whose import would be most of what importing this package costs.

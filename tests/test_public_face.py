@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -43,6 +44,15 @@ def test_importing_the_core_loads_nothing_but_the_standard_library() -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=LONG_S)
     ours = {name for name in json.loads(done.stdout) if name.split(".")[0] in ("pipeline", "numpy", "pydantic", "cv2")}
     assert ours == {"pipeline", "pipeline.system", "pipeline.system.lazy_exports", "pipeline.system.version"}
+
+
+def test_the_library_that_runs_networks_keeps_no_report_for_its_maker(tmp_path: Path) -> None:
+    """ONNX Runtime would keep an id of the machine and its use in the user's cache, and send them."""
+    code = "import pipeline; pipeline.ask('demo', 0, 'mug left of the laptop')"
+    own = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "SPATIALVIZ_CACHE": str(tmp_path / "spatialviz")}
+    environment = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"} | own
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True, timeout=LONG_S)
+    assert {path.name for path in tmp_path.iterdir()} <= {"spatialviz"}
 
 
 def test_an_answer_is_its_objects_its_figures_and_its_verdict(opened: pipeline.Opened) -> None:

@@ -64,7 +64,9 @@ class _Compiled:
         self.name, self.make = name, make
 
     def __get__(self, instance: object, owner: type) -> Any:
-        cls = next(one for one in owner.__mro__ if vars(one).get(self.name) is self)
+        # From Python 3.13 on `inspect.signature` binds it as if the class were an instance of its metaclass.
+        classes = (*owner.__mro__, *getattr(instance, "__mro__", ()))
+        cls = next(one for one in classes if vars(one).get(self.name) is self)
         function = self.make(cls)
         function.__qualname__ = f"{cls.__qualname__}.{self.name}"
         function.__module__ = cls.__module__

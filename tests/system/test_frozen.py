@@ -206,3 +206,15 @@ def test_a_value_within_itself_is_told() -> None:
     value = Sent(1, c={})
     value.c["self"] = value  # pyright: ignore[reportArgumentType]
     assert "..." in repr(value)
+
+
+def test_a_function_that_is_not_compiled_yet_is_bound_as_python_3_13_binds_it() -> None:
+    """There `inspect.signature` of a class takes the class for an instance of its metaclass."""
+
+    @late(frozen=True)
+    class Fresh:
+        a: int
+
+    bound = vars(Fresh)["__init__"].__get__(Fresh, type(Fresh))
+    assert list(inspect.signature(bound).parameters) == ["a"]
+    assert Fresh(1).a == 1
