@@ -159,7 +159,6 @@ def take(tab: Tab, shot: dict[str, Any], address: str) -> Image.Image:
     if shot.get("scene", True):
         tab.drawn()
         tab.poll("document.getElementById('loading').hidden")
-    still(tab)
     for step in shot.get("steps", ()):
         for verb, what in step.items():
             STEPS[verb](tab, what)
@@ -182,28 +181,26 @@ def shell(line: str) -> str:
     return line.replace("spatialviz ", f"{sys.executable} -m spatialviz ")
 
 
-def prepare(commands: list[str], folder: Path) -> None:
-    """Run the commands that make a folder of data, once."""
-    done = folder / ".made"
-    if done.exists() and done.read_text() == str(commands):
-        return
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    for command in commands:
-        subprocess.run(["bash", "-ec", shell(command)], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-    done.write_text(str(commands))
-
-
-def words(kind: dict[str, Any], new: str) -> list[str]:
-    """What stands after `spatialviz view`; `{new}` is a folder for a journal that nobody has written to."""
-    return shell(kind.get("view", "")).replace("{new}", new).split()
+def prepare(name: str, commands: list[str], work: Path) -> Path:
+    """Run the commands that make a folder of data, once; a copy of it, which a server may write to."""
+    made, copy = work / name, work / "now"
+    done = work / f"{name}.made"
+    if not done.exists() or done.read_text() != str(commands):
+        shutil.rmtree(made, ignore_errors=True)
+        made.mkdir(parents=True)
+        for command in commands:
+            subprocess.run(["bash", "-ec", shell(command)], cwd=made, check=True, stdout=subprocess.DEVNULL)
+        done.write_text(str(commands))
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(made, copy)
+    return copy
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=[], help="names of shots, or how these begin")
     parser.add_argument("--out", type=Path, default=PICTURES)
-    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "spatialviz-shots")
+    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "pictures")
     told = parser.parse_args()
     plan = parse_toml((ROOT / ".ci" / "site" / "shots.toml").read_text("utf-8"))
     shots = [s for s in plan["shot"] if not told.only or s["name"].startswith(tuple(told.only))]
@@ -212,9 +209,9 @@ def main() -> None:
     with chromium() as browser:
         for name, of_server in groupby(shots, lambda shot: shot.get("server", "demo")):
             kind = plan["server"][name]
-            folder = told.work / kind.get("data", "none")
-            prepare(plan["data"].get(kind.get("data"), []), folder)
-            with tempfile.TemporaryDirectory() as new, Server(*words(kind, new), folder=folder) as server:
+            data = kind.get("data", "none")
+            folder = prepare(data, plan["data"].get(data, []), told.work)
+            with Server(*shell(kind.get("view", "")).split(), folder=folder) as server:
                 for shot in of_server:
                     size = dict(zip(("width", "height"), shot.get("size", (1440, 900)), strict=True))
                     tab = new_tab(browser, "painted", viewport=size, color_scheme=shot.get("theme", "light"))
