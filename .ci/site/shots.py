@@ -206,6 +206,7 @@ def main() -> None:
     shots = [s for s in plan["shot"] if not told.only or s["name"].startswith(tuple(told.only))]
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     told.out.mkdir(parents=True, exist_ok=True)
+    wrong: list[str] = []
     with chromium() as browser:
         for name, of_server in groupby(shots, lambda shot: shot.get("server", "demo")):
             kind = plan["server"][name]
@@ -217,13 +218,15 @@ def main() -> None:
                     tab = new_tab(browser, "painted", viewport=size, color_scheme=shot.get("theme", "light"))
                     try:
                         picture = take(tab, shot, server.address)
-                        print(f"{shot['name']}: {save(picture, told.out / (shot['name'] + '.jpg')):,} bytes")
+                        print(f"{shot['name']}: {save(picture, told.out / (shot['name'] + '.jpg')):,} bytes", flush=True)
                     except Exception as error:
                         failed = told.work / f"{shot['name']}-failed.png"
                         tab.page.screenshot(path=failed)
-                        raise SystemExit(f"{shot['name']}: {error}\nwhat the page showed: {failed}") from error
+                        wrong.append(f"{shot['name']}: {error}\n  what the page showed: {failed}")
+                        print(wrong[-1], flush=True)
                     finally:
                         tab.close()
+    sys.exit(1 if wrong else 0)
 
 
 if __name__ == "__main__":
