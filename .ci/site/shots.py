@@ -90,6 +90,7 @@ STEPS: dict[str, Callable[[Tab, Any], Any]] = {
     "point": _point,
     "hover": lambda tab, what: tab.see(what).hover(),
     "see": lambda tab, what: tab.see(*([what] if isinstance(what, str) else what)),  # a selector, or one with words
+    "gone": lambda tab, what: tab.poll("what => !document.querySelector(what)", what),
     "scroll": lambda tab, what: tab.page.locator(what).first.scroll_into_view_if_needed(),
     "wait": lambda tab, what: tab.page.wait_for_timeout(1000 * what),
 }
