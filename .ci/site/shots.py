@@ -31,6 +31,10 @@ from pipeline.system.reading import parse_toml  # noqa: E402
 PICTURES = ROOT / "docs" / "pictures"
 MOST_BYTES = 150_000
 MARK = "#d6336c"
+LASTS = (
+    "const soon = setTimeout; window.setTimeout = (f, t, ...a) => soon(f, t > 3900 && t < 20000 ? 60 * t : t, ...a);"
+)
+"""A note of what was saved, which goes after some seconds, stays until its picture is taken."""
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels of the picture."""
 
@@ -42,10 +46,6 @@ def _click(tab: Tab, text: str) -> None:
 def _ask(tab: Tab, question: str) -> None:
     tab.ask(question)
     tab.page.wait_for_timeout(1500)
-
-
-def _type(tab: Tab, text: str) -> None:
-    tab.page.keyboard.type(text, delay=20)
 
 
 def _fill(tab: Tab, what: list[str]) -> None:
@@ -84,7 +84,6 @@ STEPS: dict[str, Callable[[Tab, Any], Any]] = {
     "drawer": lambda tab, what: tab.drawer(what),  # Objects, Edit (What if) or Log
     "press": lambda tab, what: tab.press(what),  # a key of the page
     "key": lambda tab, what: tab.page.keyboard.press(what),  # a key of the field that has the focus
-    "type": _type,
     "fill": _fill,
     "drag": _drag,
     "point": _point,
@@ -217,9 +216,12 @@ def main() -> None:
                 for shot in of_server:
                     size = dict(zip(("width", "height"), shot.get("size", (1440, 900)), strict=True))
                     tab = new_tab(browser, "painted", viewport=size, color_scheme=shot.get("theme", "light"))
+                    tab.page.add_init_script(LASTS)
                     try:
                         picture = take(tab, shot, server.address)
-                        print(f"{shot['name']}: {save(picture, told.out / (shot['name'] + '.jpg')):,} bytes", flush=True)
+                        print(
+                            f"{shot['name']}: {save(picture, told.out / (shot['name'] + '.jpg')):,} bytes", flush=True
+                        )
                     except Exception as error:
                         failed = told.work / f"{shot['name']}-failed.png"
                         tab.page.screenshot(path=failed)
