@@ -153,17 +153,17 @@ def save(picture: Image.Image, path: Path) -> int:
     return out.tell()
 
 
-def take(tab: Tab, shot: dict[str, Any], address: str) -> Image.Image:
+def take(tab: Tab, shot: dict[str, Any], steps: list[dict[str, Any]], address: str) -> Image.Image:
     """The picture of one shot."""
     tab.open(address + shot.get("address", ""))
     if shot.get("scene", True):
         tab.drawn()
         tab.poll("document.getElementById('loading').hidden")
-    for step in shot.get("steps", ()):
+    for step in steps:
         for verb, what in step.items():
             STEPS[verb](tab, what)
     # The pointer leaves what it has clicked, unless it is to stand somewhere.
-    if not any("hover" in step for step in shot.get("steps", ())):
+    if not any("hover" in step for step in steps):
         tab.page.mouse.move(2, 2)
     picture = still(tab)
     marks = [(box_of(tab, [m["at"], *m.get("and", ())], m.get("margin", 2)), m) for m in shot.get("marks", ())]
@@ -196,6 +196,11 @@ def prepare(name: str, commands: list[str], work: Path) -> Path:
     return copy
 
 
+def server_of(shot: dict[str, Any]) -> tuple[str, str]:
+    """The server of a shot, and its name where the server is to be its own."""
+    return shot.get("server", "demo"), shot["name"] if shot.get("fresh") else ""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=[], help="names of shots, or how these begin")
@@ -208,7 +213,7 @@ def main() -> None:
     told.out.mkdir(parents=True, exist_ok=True)
     wrong: list[str] = []
     with chromium() as browser:
-        for name, of_server in groupby(shots, lambda shot: shot.get("server", "demo")):
+        for (name, _), of_server in groupby(shots, server_of):
             kind = plan["server"][name]
             data = kind.get("data", "none")
             folder = prepare(data, plan["data"].get(data, []), told.work)
@@ -217,8 +222,9 @@ def main() -> None:
                     size = dict(zip(("width", "height"), shot.get("size", (1440, 900)), strict=True))
                     tab = new_tab(browser, "painted", viewport=size, color_scheme=shot.get("theme", "light"))
                     tab.page.add_init_script(LASTS)
+                    steps = [*plan["steps"].get(shot.get("first"), ()), *shot.get("steps", ())]
                     try:
-                        picture = take(tab, shot, server.address)
+                        picture = take(tab, shot, steps, server.address)
                         print(
                             f"{shot['name']}: {save(picture, told.out / (shot['name'] + '.jpg')):,} bytes", flush=True
                         )
