@@ -1,0 +1,24 @@
+"""Pages of the reference, made from the code. Called by mkdocs (`hooks:` of mkdocs.yml)."""
+
+from __future__ import annotations
+
+import reference_commands
+import reference_formats
+import reference_keys
+import reference_python
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+PAGES = {
+    "reference/commands.md": reference_commands.page,
+    "reference/python.md": reference_python.page,
+    "reference/formats.md": reference_formats.page,
+    "reference/keys.md": reference_keys.page,
+}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages."""
+    for name, page in PAGES.items():
+        files.append(File.generated(config, name, content=page()))
+    return files
