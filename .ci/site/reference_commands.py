@@ -104,7 +104,7 @@ def _option(command: type, action: Action) -> Option:
     if not kind and action.option_strings:
         kind = "flag" if action.nargs == 0 else code(named)
     if not action.option_strings:
-        kind = "path" if typing.get_type_hints(command)[action.dest] is Path else "text"
+        kind = "path" if typing.get_type_hints(command)[action.dest.replace("-", "_")] is Path else "text"
     elif "..." in named:
         words = named.strip("[]").split(" ")[0].strip("[]{}")
         kind = f"several: {KINDS.get(words) or ' or '.join(map(code, words.split(',')))}"

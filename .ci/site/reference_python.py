@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 
+import pipeline
 import spatialviz
 
 INTRO = """# Python
@@ -26,8 +27,8 @@ GROUPS = {
 
 
 def defined(name: str) -> str:
-    """Return where a public name is defined, as mkdocstrings asks for it."""
-    found = getattr(spatialviz, name)
+    """Return where a public name is defined, as mkdocstrings asks for it; `open` and `ask` tell of their options."""
+    found = getattr(pipeline if name in ("open", "ask") else spatialviz, name)
     return f"{found.__module__}.{found.__qualname__}"
 
 

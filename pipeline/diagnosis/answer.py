@@ -222,7 +222,17 @@ class AnswerSource(Protocol):
 
 @dataclass(frozen=True)
 class Answer(InNotebook):
-    """Answer to an expression, with its trace and verdict; positions in `pairs` are those in `objects`."""
+    """Answer to an expression, with its trace and verdict; positions in `pairs` are those in `objects`.
+
+    >>> from pipeline import ask
+    >>> answer = ask("demo", 0, "mug left of the laptop")
+    >>> answer
+    <Answer 'mug left of the laptop' on '000001/000000': mug·3 left of laptop·2: relation 1.00, product 1.00; CORRECT>
+    >>> answer.target.label, answer.holds, len(answer.pairs)
+    ('mug', True, 2)
+    >>> answer.target.box.center.round(1)
+    array([-0.3,  0.1,  1.9])
+    """
 
     text: str  # The expression as it was asked
     trace: Trace | None = None  # Every stage's input and output; None where the expression cannot be read or asked

@@ -33,7 +33,14 @@ Source = str | Path | Dataset | Frame | Sequence[Frame]
 
 @dataclass(frozen=True)
 class Opened:
-    """Pipeline opened for questions from Python, with the truth of its frames."""
+    """Pipeline opened for questions from Python, with the truth of its frames.
+
+    >>> opened = open("demo")
+    >>> opened
+    <Pipeline demo: 12 frames, detector annotations, relations by rel32>
+    >>> opened.frames[0].rgb.shape, opened.ask(0, "mug left of the laptop").verdict
+    ((480, 640, 3), 'CORRECT')
+    """
 
     pipeline: Pipeline
     labels: Labels | None = None  # What is true; without them the frames' annotations say it, where there are any

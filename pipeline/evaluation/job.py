@@ -258,6 +258,14 @@ def evaluate(
         Measure relations alone too, pair by pair.
     options
         Further arguments of `open_pipeline`: detector, model, min_score, srm, config, ...
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pipeline.datasets.demo import demo_labels
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     evaluate("demo", demo_labels(), f"{folder}/run", limit=20, relations=False, plots=False).verdicts
+    {'CORRECT': 19, 'LABEL': 1}
     """
     vectors = options.get("vectors")
     alone = RelationSpec(vectors=None if vectors is None else str(vectors)) if relations else None
