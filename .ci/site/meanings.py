@@ -42,6 +42,8 @@ def _names_of(node: ast.AST) -> Iterator[tuple[str, int, int]]:
             for key, value in zip(inner.keys, inner.values, strict=True):
                 if isinstance(key, ast.Constant) and isinstance(key.value, str):
                     yield key.value, key.lineno, value.end_lineno or value.lineno
+        elif isinstance(inner, ast.Subscript) and isinstance(inner.slice, ast.Constant):
+            yield f"{inner.slice.value}", inner.lineno, inner.lineno
         elif isinstance(inner, ast.Tuple):
             for one in inner.elts:
                 if isinstance(one, ast.Constant) and isinstance(one.value, str):
@@ -53,9 +55,12 @@ def _by_comments(file: str, node: ast.AST) -> dict[str, str]:
     names = list(_names_of(node))
     known = {name for name, _, _ in names}
     found: dict[str, str] = {}
+    taken: set[int] = set()
     for name, first, last in names:
-        text = after.get(first) or after.get(last)
-        if text is None:
+        # Of several on a line the comment is of the outermost, which comes first.
+        text = None if first in taken else after.get(first) or after.get(last)
+        taken |= {first} if text else set()
+        if text is None and first not in taken:
             above, line = [], first - 1
             while line in alone:
                 above.insert(0, alone[line])
@@ -66,28 +71,32 @@ def _by_comments(file: str, node: ast.AST) -> dict[str, str]:
             if of and set(of) <= known:
                 found |= dict.fromkeys(of, _sentence(text[several.end() :])) if several else {}
                 continue
+            taken |= {first} if text else set()
         if text:
             found.setdefault(name, _sentence(text))
     return found
 
 
 def _sentence(text: str) -> str:
+    """Return a text with a capital, where it does not begin with a value or a name."""
     text = text.strip()
-    return text[:1].upper() + text[1:]
+    return text[:1].upper() + text[1:] if re.match(r"[a-z]+[ .;:]", text) else text
 
 
 def _by_texts_below(node: ast.ClassDef) -> dict[str, str]:
     found = {}
     for field, below in zip(node.body, node.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
-            if isinstance(below.value, ast.Constant) and isinstance(below.value.value, str):
-                found[field.target.id] = " ".join(below.value.value.split())
+        text = below.value if isinstance(below, ast.Expr) else None
+        named = isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if named and isinstance(text, ast.Constant) and isinstance(text.value, str):
+            found[field.target.id] = " ".join(text.value.split())
     return found
 
 
 def _node(file: str, name: str) -> ast.AST | None:
-    """Return the class, function or constant of a name in a file."""
-    for node in ast.walk(_parsed(file)[0]):
+    """Return the class, function or constant of a name in a file; "Answer.record" is a function of a class."""
+    outer, _, name = name.rpartition(".")
+    for node in ast.walk(_node(file, outer) or ast.Module([], []) if outer else _parsed(file)[0]):
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
             return node
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == name:
@@ -117,6 +126,15 @@ def of_class(kind: type) -> dict[str, str]:
             continue
         found = {**_by_comments(file, node), **told, **_by_texts_below(node), **found}
     return found
+
+
+def left_out(module: ModuleType, function: str) -> list[str]:
+    """Return the keys that a function leaves out where they have nothing to say: arguments of `present`."""
+    node = _node(inspect.getfile(module), function)
+    given = (n for n in ast.walk(node) if isinstance(n, ast.Return)) if node else ()
+    calls = (c for one in given for c in ast.walk(one) if isinstance(c, ast.Call))
+    named = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id == "present"]
+    return [k.arg for c in named[:1] for k in c.keywords if k.arg]
 
 
 def of_keys(module: ModuleType, *names: str) -> dict[str, str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import reference_commands
 import reference_formats
 import reference_keys
@@ -17,8 +19,12 @@ PAGES = {
 }
 
 
+STYLE = "reference.css"
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages."""
+    """Add the pages and their style."""
+    files.append(File.generated(config, STYLE, content=Path(__file__).with_name(STYLE).read_text(encoding="utf-8")))
     for name, page in PAGES.items():
         files.append(File.generated(config, name, content=page()))
     return files

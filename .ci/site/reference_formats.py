@@ -46,9 +46,9 @@ def labels_part() -> str:
         f"""## Labels
 
 A folder that `label` writes: `manifest.json` and four Parquet tables. The schema has version {schema.SCHEMA_VERSION};
-the folder holds it as JSON Schema in `schemas/`. Labels of an older version with the same first number are read: columns
-that came later ({", ".join(f"`{c}` with {v}" for c, v in schema.ADDED_COLUMNS.items())}) then read as null. Labels with
-another first number are refused. Rows are keyed by frame and object, of relations by frame and two objects.
+the folder holds it as JSON Schema in `schemas/`. Labels of an older version with the same first number are read:
+columns that came later ({", ".join(f"`{c}` with {v}" for c, v in schema.ADDED_COLUMNS.items())}) then read as null.
+Labels with another first number are refused. Rows are keyed by frame and object, of relations by frame and two objects.
 """
     ]
     for name, model in schema.TABLES.items():
@@ -67,14 +67,15 @@ def _label_table(model: type[schema.LabelRow]) -> str:
         if found := [r for r in rows if r[0] in alike]:
             joined.append((", ".join(r[0] for r in found), *found[0][1:]))
             rows = [r for r in rows if r[0] not in alike]
-    return table(HEAD, [*rows, *joined])
+    # Every column is there: what may be missing is null.
+    return table(("column", "type", "meaning"), ((name, kind, said) for name, kind, _, said in [*rows, *joined]))
 
 
 def runs_part() -> str:
     """Return what stands in a run folder."""
     made = json.loads((Path(demo_run()) / "run.json").read_text(encoding="utf-8"))
     kinds = {"string": "text", "int32": "whole number", "int8": "whole number", "bool": "true or false"}
-    kinds |= {"float32": "number", "box": "4 of number", "strings": "list of text"}
+    kinds |= {"float32": "number", "box": "4 numbers", "strings": "list of text"}
     columns = meanings.of_keys(records, "COLUMNS", "DIAGNOSIS_COLUMNS")
     rows = ((code(n), f"{kinds[k]} ({k})" if k[-1].isdigit() else kinds[k], cell(columns.get(n, "")))
             for n, k in records.COLUMNS.items())  # fmt: skip
@@ -130,7 +131,8 @@ def cases_part() -> str:
     return f"""## Cases
 
 A folder that `save-case` writes and `replay` runs again: `{saved_case.MANIFEST}`, the frame's colour and depth without
-loss, and `{manifest.PROPOSALS}` (of another pipeline `{manifest.PREDICTIONS}`). The format is `{saved_case.CASE_FORMAT}`.
+loss, and `{manifest.PROPOSALS}` (of another pipeline `{manifest.PREDICTIONS}`). The format is
+`{saved_case.CASE_FORMAT}`.
 
 ### {saved_case.MANIFEST}
 
@@ -186,6 +188,7 @@ def journal_part() -> str:
     """Return the journal's columns, and what can be corrected."""
     said = meanings.of_class(events.Event) | meanings.of_class(field_refs.FieldRef)
     given = meanings.of_keys(chain, "CONTENT")
+    said["hash"] = " ".join((chain.link.__doc__ or "").split("\n\n")[0].split())
     rows = ((code(n), cell(given.get(n) or said.get(n, ""))) for n in (*chain.CONTENT, "hash"))
     can = ((code(kind), ", ".join(map(code, found))) for kind, found in field_refs.FIELDS.items())
     return f"""## Journal
@@ -214,8 +217,8 @@ def settings_part() -> str:
             return " or ".join(code(v) for v in settings.MEANT.get(name, settings.TURNS))
         first = kinds[name].removesuffix(" | None")
         count = first.count("float")
-        return words.get(first) or ("table of 3 of number" if "Mapping" in first else f"{max(count, 7)} of number"
-                                    if "..." in first else f"{count} of number")  # fmt: skip
+        return words.get(first) or ("table of 3 numbers" if "Mapping" in first else f"{max(count, 7)} numbers"
+                                    if "..." in first else f"{count} numbers")  # fmt: skip
 
     rows = ((code(n), kind(n), cell(said.get(n, ""))) for n in (*settings.KEYS, settings.LIMITS_TABLE)
             if n != settings.LIMITS_TABLE)  # fmt: skip
@@ -259,7 +262,7 @@ JSON. A string of another version is refused.
 
 
 PARTS_OF_ANSWERS = {
-    "The whole": ("", (answer, ("record",)), (json_records, ("trace_record",))),
+    "The whole": ("", (json_records, ("trace_record",)), (answer, ("Answer.record",))),
     "expression": ("expression", (json_records, ("expression_record", "trace_record"))),
     "tree": ("expression.tree", (json_records, ("noun_record",))),
     "answer": ("answer", (json_records, ("_best_record", "pair_record"))),
@@ -269,11 +272,13 @@ PARTS_OF_ANSWERS = {
     "quality": ("proposals.quality", (json_records, ("object_record",))),
     "viewer": ("viewer", (json_records, ("viewer_record",))),
     "ranking": ("ranking", (json_records, ("trace_record",))),
-    "stages": ("stages", (answer, ("record",))),
-    "verdict": ("verdict", (answer, ("diagnosis_record", "story_record"))),
-    "needed": ("verdict.needed", (answer, ("diagnosis_record",))),
+    "stages": ("stages", (answer, ("Stage.record",))),
+    "verdict": ("verdict", (answer, ("story_record",)), (answer, ("diagnosis_record",))),
+    "needed": ("verdict.needed", (answer, ("_needed_record",))),
 }
 """Parts of `ask --json`: where each stands, and the functions whose keys it has."""
+INSIDE = ("answer", "quality", "ranking", "needed")
+"""Those that are only a part of what their function makes."""
 QUESTIONS = (
     "mug left of the laptop",
     "the white mug left of the laptop that is on the table",
@@ -290,7 +295,10 @@ def answers() -> tuple[dict[str, Any], ...]:
     run = pipeline.open_run(demo_run())
     failures = run.failures()
     demo = pipeline.open("demo")
-    return (*(demo.ask(0, text).record() for text in QUESTIONS), *(failures[k].answer.record() for k in range(0, min(len(failures), 60), 12)))
+    return (
+        *(demo.ask(0, text).record() for text in QUESTIONS),
+        *(failures[k].answer.record() for k in range(0, min(len(failures), 60), 12)),
+    )
 
 
 def parts_at(record: Any, place: str) -> Iterator[dict[str, Any]]:
@@ -321,6 +329,8 @@ answers on the demo.
         for module, functions in makers:
             said = {**meanings.of_keys(module, *functions), **said}
         names = dict.fromkeys(name for one in seen for name in one)
+        if title not in INSIDE:
+            names |= dict.fromkeys(n for module, of in makers for n in meanings.left_out(module, of[0]))
         rows = ((code(n), json_type(one[n] for one in seen if n in one), cell(said.get(n, ""))) for n in names)
         at = f"`{place}`\n\n" if "." in place else ""
         parts += [f"### {title}\n\n{at}{table(('key', 'type', 'meaning'), rows)}"]

@@ -25,8 +25,7 @@ PARTS = (
     ),
     (
         "Datasets with moves",
-        "In a dataset whose frames lie beside each other on a grid, as those of the Active Vision Dataset do, these keys "
-        "walk through it.",
+        "In a dataset whose frames say where a step leads, as those of the Active Vision Dataset do, these keys walk.",
         {"Moves": MOVE_KEYS},
     ),
     ("Lists, scene and picture", "These work where the pointer or the focus is.", MOUSE),

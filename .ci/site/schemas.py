@@ -62,11 +62,17 @@ def shown_type(field: Mapping[str, Any], link: Callable[[str], str]) -> str:
 def _list(field: Mapping[str, Any], link: Callable[[str], str]) -> str:
     if parts := field.get("prefixItems"):
         kinds = [shown_type(one, link) for one in parts]
-        return f"{len(kinds)} of {kinds[0]}" if len(set(kinds)) == 1 else f"list: {', '.join(kinds)}"
+        return _so_many(len(kinds), kinds[0]) if len(set(kinds)) == 1 else f"list: {', '.join(kinds)}"
     least, most = field.get("minItems"), field.get("maxItems")
-    return f"{least} of " * (least is not None and least == most) + (
-        shown_type(field["items"], link) if least is not None and least == most else _several(field, link)
-    )
+    fixed = least is not None and least == most
+    return _so_many(int(least or 0), shown_type(field["items"], link)) if fixed else _several(field, link)
+
+
+def _so_many(count: int, kind: str) -> str:
+    """Word a fixed number of things: "4 numbers", "3 by 3 numbers"."""
+    if kind[:1].isdigit():
+        return f"{count} by {kind}"
+    return f"{count} {kind.replace('number', 'numbers', 1)}" if "number" in kind[:12] else f"{count} of {kind}"
 
 
 def _several(field: Mapping[str, Any], link: Callable[[str], str]) -> str:
@@ -108,7 +114,9 @@ def fields_of(kind: type, schema: Mapping[str, Any], link: Callable[[str], str])
 def class_tables(kind: type, level: int, only: Callable[[type], bool] = lambda _: True, alone: bool = False) -> str:
     """Return a class's table and, below headings, those of the classes of its fields; `alone`: its own only."""
     whole = TypeAdapter(kind).json_schema()
-    known = {n: c for n, c in classes_of(kind).items() if n == kind.__name__ or (n in whole.get("$defs", {}) and only(c))}
+    known = {
+        n: c for n, c in classes_of(kind).items() if n == kind.__name__ or (n in whole.get("$defs", {}) and only(c))
+    }
 
     def link(name: str) -> str:
         if alone or name not in known:
