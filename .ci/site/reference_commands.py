@@ -10,7 +10,8 @@ from argparse import Action
 from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, Literal
 
 import tyro
 from markdown.extensions.toc import slugify
@@ -21,7 +22,7 @@ from spatialviz.cli import ABOUT, FORMS, GROUPS, OPTIONS, options_of
 from spatialviz.options import BAD, FINE, INTERRUPTED, NO, UNREAD
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-KINDS = {"STR": "text", "PATH": "path", "INT": "whole number", "FLOAT": "number"}
+KINDS = {str: "text", Path: "path", int: "whole number", float: "number", bool: "flag"}
 MOST_EXAMPLES = 3
 STATUSES = (
     (FINE, "Fine."),
@@ -95,24 +96,26 @@ def _owner(command: type, place: str) -> type | None:
     return next(c for c in found.__mro__ if name in vars(c).get("__annotations__", {}))  # pyright: ignore
 
 
+def _kind(hint: Any) -> str:
+    """Word the type of an option."""
+    parts = typing.get_args(hint)
+    if typing.get_origin(hint) is Literal:
+        return " or ".join(code(f"{value}") for value in parts)
+    if typing.get_origin(hint) is tuple:
+        return f"several: {_kind(parts[0])}" if parts[-1] is Ellipsis else f"{len(parts)} of {_kind(parts[0])}"
+    return " or ".join(_kind(part) for part in parts if part is not NoneType) if parts else KINDS[hint]
+
+
 def _option(command: type, action: Action) -> Option:
     told, _, default = (action.help or "").rpartition("(")
     default = default.removesuffix(")").removeprefix("default: ").strip()
-    named = f"{action.metavar or ''}"
-    choice = re.fullmatch(r"\{(.*)\}", named)
-    kind = " or ".join(code(c) for c in choice[1].split(",")) if choice else KINDS.get(named.strip("[]"), "")
-    if not kind and action.option_strings:
-        kind = "flag" if action.nargs == 0 else code(named)
-    if not action.option_strings:
-        kind = "path" if typing.get_type_hints(command)[action.dest.replace("-", "_")] is Path else "text"
-    elif "..." in named:
-        words = named.strip("[]").split(" ")[0].strip("[]{}")
-        kind = f"several: {KINDS.get(words) or ' or '.join(map(code, words.split(',')))}"
+    group, _, name = action.dest.replace("-", "_").rpartition(".")
+    kind = _kind(typing.get_type_hints(typing.get_type_hints(command)[group] if group else command)[name])
     if default == "repeatable":
-        kind, default = f"{kind}, can be given again", ""
+        kind, default = f"{kind.removeprefix('several: ')}, can be given again", ""
     # What is unset says in words what it means; a flag is off.
     shown = "" if default in ("None", "False") and not (kind == "flag" and default == "True") else default
-    names = tuple(action.option_strings) or (named,)
+    names = tuple(action.option_strings) or (f"{action.metavar}",)
     return Option(names, kind, shown, told.strip(), _owner(command, action.dest))
 
 

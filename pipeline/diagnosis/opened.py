@@ -42,7 +42,7 @@ class Opened:
     ((480, 640, 3), 'CORRECT')
     """
 
-    pipeline: Pipeline
+    pipeline: Pipeline  # Dataset with its models
     labels: Labels | None = None  # What is true; without them the frames' annotations say it, where there are any
     # Shows this, or an answer of it. The core has no screen: `spatialviz.open` sets it.
     viewer: Callable[..., Any] | None = None

@@ -149,8 +149,8 @@ class Run(InNotebook):
     <Failure 'show me the lamp above the rug' on '000002/000002': SRM>
     """
 
-    folder: Path
-    name: str
+    folder: Path  # The run folder
+    name: str  # Of the system that answered
     manifest: Mapping[str, Any]  # the whole of `run.json`
     spec: EvalSpec  # what was evaluated on what; paths are those of this machine
 

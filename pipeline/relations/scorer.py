@@ -36,7 +36,7 @@ class RelationScores:
     (<RelationScores of 2 objects: left>, 0.9)
     """
 
-    relations: tuple[str, ...]
+    relations: tuple[str, ...]  # Names, in the order of R
     states: np.ndarray  # (N, N, R) int8: the rule's verdicts: 1 T, 0 U, -1 F
     probabilities: np.ndarray  # (N, N, R) float64: P("a RELATION b") at [a, b]
     scored_by: dict[str, str]  # Relation -> name of what scored it ("rule" where no network has a head for it)
