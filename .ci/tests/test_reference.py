@@ -166,4 +166,4 @@ def test_the_walkthrough_is_kept_without_what_it_prints() -> None:
     code = [c for c in cells if c["cell_type"] == "code"]
     assert len(code) > 12
     assert all(c["outputs"] == [] and c["execution_count"] is None for c in code)
-    assert max(len(line) for c in code for line in "".join(c["source"]).splitlines()) <= 120
+    assert max(len(line) for c in code for line in "".join(c["source"]).splitlines()) <= 88
