@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.bench.claims import read_bench
 from pipeline.bench.table import renewed
+from pipeline.relations.pair_measures import Profile
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [*(ROOT / "docs").glob("*.md"), ROOT / ".github" / "CONTRIBUTING.md", ROOT / "README.md"]
@@ -39,9 +40,10 @@ def test_links_between_documents_lead_somewhere() -> None:
     assert [(d.name, a) for d, link, a in links if a and a not in anchors(d.parent / link if link else d)] == []
 
 
-def test_the_readme_lists_every_document() -> None:
+def test_the_readme_is_short_and_shows_one_picture() -> None:
     readme = (ROOT / "README.md").read_text()
-    assert [d.name for d in DOCUMENTS if d.parent.name == "docs" and f"](docs/{d.name})" not in readme] == []
+    assert len(readme.encode()) < 7000
+    assert readme.count("![") == 1
 
 
 def test_what_was_measured_has_its_data_its_date_and_who_made_it() -> None:
@@ -53,6 +55,15 @@ def test_what_was_measured_has_its_data_its_date_and_who_made_it() -> None:
     figures = [row for row in claims if re.search(r"\d", row[1])]
     assert [r[0] for r in figures if not (r[2] and re.fullmatch(r"20\d\d-\d\d-\d\d", r[3]) and r[4])] == []
     assert [r[0] for r in claims if r not in figures and "](" not in r[0] + r[1]] == []
+
+
+def test_the_thresholds_of_relations_are_those_of_the_rule() -> None:
+    text, p = (ROOT / "docs" / "relations.md").read_text(), Profile()
+    degrees = (p.cone, p.doubtful_cone, p.elevation, p.elevation_doubtful)
+    lengths = (p.dead_zone, p.dead_zone_depth, p.sink, p.clear_height, p.on_gap, p.on_gap_doubtful, p.in_inflation)
+    shares = (p.dead_zone_depth_relative, p.on_gap_relative)
+    told = [f"{v:g}°" for v in degrees] + [f"{100 * v:g} cm" for v in lengths] + [f"{100 * v:g} %" for v in shares]
+    assert [words for words in told if words not in text] == []
 
 
 def test_accuracy_is_claimed_with_a_date_or_with_what_was_measured() -> None:

@@ -62,14 +62,26 @@ def find_term(name: str) -> GlossaryTerm:
     return found
 
 
+DOCUMENTED = {
+    "The pipeline": "[the pipeline](concepts.md#the-pipeline)",
+    "Numbers of an answer": "[scores and states](concepts.md#scores-and-states)",
+    "Verdicts": "[each verdict with a picture](verdicts.md)",
+    "What a run shows": "[debugging](debugging.md)",
+    "Labels": "[what is kept](concepts.md#what-is-kept-on-disk)",
+}
+"""Groups of the document, each with where more is said; the others name what the page has."""
+
+
 def glossary_markdown() -> str:
     """Glossary as a Markdown document."""
     lines = [
         "# Glossary",
         "",
-        "What the page says where the mouse rests on a word or Tab reaches it, and `spatialviz ask --glossary`.",
+        "Words that you meet in the page, in tables and in these documents. What a switch of the page does is said",
+        "where the mouse rests on it; `spatialviz ask --glossary WORD` explains any word in the shell.",
     ]
     for group, terms in groupby(glossary().values(), lambda term: term.group):
-        lines += ["", f"## {group}", "", "| word | is | |", "|---|---|---|"]
-        lines += [f"| **{term.name}** | {term.short} | {term.meaning} |" for term in terms]
+        if group in DOCUMENTED:
+            lines += ["", f"## {group}", "", f"More: {DOCUMENTED[group]}.", "", "| word | meaning |", "|---|---|"]
+            lines += [f"| **{term.name}** | {term.hint} |" for term in terms]
     return "\n".join(lines) + "\n"

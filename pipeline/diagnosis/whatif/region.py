@@ -55,25 +55,14 @@ def region_of(
     _check_pairwise(relation)
     known = known_extents(lo[None], hi[None]).all() and size.shape == (3,) and np.isfinite(size).all()
     require(known, "the reference or the target has no place in space, and so there is no region", got=size.tolist())
-
-    def states(places: np.ndarray) -> np.ndarray:
-        """(P,) int8: the rule's verdict on a target centred at each place ((P, 3), level axes)."""
-        ends = zip((places - size / 2, places + size / 2), (lo, hi), strict=True)
-        both = [np.stack([edge, np.broadcast_to(own, edge.shape)], axis=1) for edge, own in ends]
-        # Extents stand in for points.
-        surface = np.broadcast_to(both[1][:, None, :, 1], (len(places), 2, 2))
-        share = np.zeros(surface.shape)
-        share[:, 0, 1] = enclosed_share(-size / 2, size / 2, None, lo - places, hi - places, profile)
-        measured = AllMeasures(measure_pairs(both[0], both[1], profile), profile, given=(surface, share))
-        return pair_states(measured, np.ones((len(places), 2), np.bool_), (relation,))[:, 0, 1, 0]
-
     middle, far = (lo + hi) / 2, (size + hi - lo) / 2 + reach
     levels = middle + np.linspace(-far[1], far[1], LEVELS)[:, None] * [0, 1, 0]
-    held = levels[states(levels) == T]
+    held = levels[states_at(levels, lo, hi, relation, size, profile) == T]
     height = held[np.abs(held - middle).sum(axis=1).argmin(), 1] if len(held) else middle[1]
     right, forward = (np.linspace(middle[k] - far[k], middle[k] + far[k], CELLS + 1) for k in (0, 2))
     corners = np.stack(np.broadcast_arrays(right, height, forward[:, None]), axis=-1)
-    state = states((corners[:-1, :-1] + corners[1:, 1:]).reshape(-1, 3) / 2).reshape(CELLS, CELLS)
+    places = (corners[:-1, :-1] + corners[1:, 1:]).reshape(-1, 3) / 2
+    state = states_at(places, lo, hi, relation, size, profile).reshape(CELLS, CELLS)
     found = []
     for value in (1, 0):
         cells = np.pad(state == value, 1)
@@ -81,6 +70,23 @@ def region_of(
             triangles, lines = _drawn(cells, corners @ viewer.matrix)
             found.append(RegionPart(letter(value), triangles, lines))
     return tuple(found)
+
+
+def states_at(
+    places: np.ndarray, lo: np.ndarray, hi: np.ndarray, relation: str, size: np.ndarray, profile: Profile
+) -> np.ndarray:
+    """States (P,) int8 of "target RELATION reference" by the rule, for a target of a size centred at each place.
+
+    `places`: (P, 3); `lo`, `hi`, `size`: (3,) float64: extents of the reference, and those of the target; all along
+    (right, up, forward), metres. Extents stand in for points.
+    """
+    ends = zip((places - size / 2, places + size / 2), (lo, hi), strict=True)
+    both = [np.stack([edge, np.broadcast_to(own, edge.shape)], axis=1) for edge, own in ends]
+    surface = np.broadcast_to(both[1][:, None, :, 1], (len(places), 2, 2))
+    share = np.zeros(surface.shape)
+    share[:, 0, 1] = enclosed_share(-size / 2, size / 2, None, lo - places, hi - places, profile)
+    measured = AllMeasures(measure_pairs(both[0], both[1], profile), profile, given=(surface, share))
+    return pair_states(measured, np.ones((len(places), 2), np.bool_), (relation,))[:, 0, 1, 0]
 
 
 def _drawn(cells: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
