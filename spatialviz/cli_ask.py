@@ -134,6 +134,7 @@ class GlossaryCommand(Output):
     """Explain a word of the page or the shell; without one, all of them."""
 
     word: Positional[str | None] = None
+    """As the page or the shell has it, such as OPM-CONF."""
     markdown: Flag = False
     """Print all as a document."""
 
@@ -197,5 +198,7 @@ class RenderCommand:
     seed: int = 0
     """The same seed gives the same files."""
     width: int = 640
+    """Of the pictures, pixels."""
     height: int = 480
+    """Of the pictures, pixels."""
     workers: Workers = CPUS

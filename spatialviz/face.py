@@ -82,6 +82,13 @@ def show(
     ------
     InputError
         Arrays that make no frame, a dataset that cannot be opened, an address that cannot be used.
+
+    Examples
+    --------
+    >>> server = show("demo", port=0, open_browser=False, block=False)  # doctest: +ELLIPSIS
+    spatialviz: the built-in demo at http://127.0.0.1:... (stop() stops)
+    >>> server.stop()  # doctest: +ELLIPSIS
+    (viser) ...
     """
     arrays = {"masks": masks, "names": names, "boxes": boxes, "relations": relations, "up": up}
     arrays = {name: value for name, value in arrays.items() if value is not None}

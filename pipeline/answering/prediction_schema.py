@@ -50,9 +50,9 @@ class Weights:
 
     __pydantic_config__ = _STRICT
 
-    target: Number = 1.0
-    reference: Number = 1.0
-    relation: Number = 1.0
+    target: Number = 1.0  # Of P(target)
+    reference: Number = 1.0  # Of P(reference)
+    relation: Number = 1.0  # Of P(relation)
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,7 @@ class Header:
     # How pairs are ranked: by the product of P(target), P(reference) and P(relation) with these weights; by scores of
     # the system's own, given as "pairs"; or "none": not told
     ranking: Literal["product", "pair_scores", "none"] = "none"
+    # Of the three factors, where pairs are ranked by their product
     weights: Weights = field(default_factory=Weights)
     # Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap
     same: Literal["ids", "overlap"] = "ids"
@@ -109,11 +110,11 @@ class PredictedBox:
 
     __pydantic_config__ = _STRICT
 
-    # center, size: Full edge lengths along the box's own axes
-    center: Three | None = None
-    size: Three | None = None
-    # Row by row; its columns are the box's axes. None for a box along the axes of the frame.
+    center: Three | None = None  # Its middle
+    size: Three | None = None  # Full edge lengths along the box's own axes
+    # Row by row; its columns are the box's axes. Null for a box along the axes of the frame
     rotation: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)] | None = None
+    # In any order; in place of the other three
     corners: Annotated[tuple[Three, ...], Field(min_length=8, max_length=8)] | None = None
 
 
@@ -126,10 +127,10 @@ class PredictedAnswer:
     # object, reference: Ids of proposals
     object: Id | None = None
     reference: Id | None = None
-    box: Four | None = None
+    box: Four | None = None  # As the header says
     point: tuple[Number, Number] | None = None  # x, y in the unit of boxes
-    mask: RunLength | None = None
-    yes: StrictBool | None = None
+    mask: RunLength | None = None  # COCO's run-length code, of the frame's size
+    yes: StrictBool | None = None  # Of questions that are answered by yes or no
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ class Prediction:
     __pydantic_config__ = _STRICT
 
     frame: Name  # Id of the dataset's frame
-    text: Name
+    text: Name  # The expression
     answer: PredictedAnswer | None = None  # None where there is none, or where the ranking that the file gives says it
     problem: str | None = None  # Why there is none
     # target, relation, reference: How the system read the words, where it did; else ours reads them

@@ -46,23 +46,23 @@ class _Strict(BaseModel):
 class SavedBox(_Strict):
     """A 3D box in the camera frame, metres."""
 
-    center: Three
-    R: tuple[Three, Three, Three]
-    size: Three
+    center: Three  # Metres
+    R: tuple[Three, Three, Three]  # Three rows; the columns are the box's axes
+    size: Three  # Full edge lengths, metres
 
 
 class SavedAnnotation(_Strict):
     """`pipeline.geometry.frame.Annotation` with the mask as COCO run lengths."""
 
-    index: int
-    label: str
-    bbox: Four
-    mask: RunLength | None = None
-    box: SavedBox | None = None
-    visible: FiniteFloat | None = None
-    instance: int | None = None
-    difficulty: int | None = None
-    fixed: bool = False
+    index: int  # Place in the dataset's list of the frame
+    label: str  # Class name
+    bbox: Four  # x0, y0, x1, y1, pixels
+    mask: RunLength | None = None  # Visible pixels
+    box: SavedBox | None = None  # Exact 3D box, where the dataset knows it
+    visible: FiniteFloat | None = None  # Share that is not occluded
+    instance: int | None = None  # The same object's number in all frames
+    difficulty: int | None = None  # Of finding it; 1 is easy
+    fixed: bool = False  # The 3D box stands as it is
 
 
 class _SavedViewer(BaseModel):
@@ -76,18 +76,18 @@ class SavedFrame(_Strict):
     """A frame without pixels. `units` is depth units per metre, None where depth.npy holds float32 metres. `up` is null
     in older cases where it was found from the depth; then it is that of the kept answer."""
 
-    id: str = Field(min_length=1)
-    width: int = Field(ge=1)
-    height: int = Field(ge=1)
-    depth: Literal["depth.png", "depth.npy"]
-    units: FiniteFloat | None = Field(gt=0)
-    K: tuple[Three, Three, Three]
-    T_world_camera: tuple[Four, Four, Four, Four] | None
-    up: Three | None
-    up_source: UpSource | None
-    annotations: tuple[SavedAnnotation, ...]
-    notes: tuple[str, ...] = ()
-    depth_source: str | None = None
+    id: str = Field(min_length=1)  # Of the frame in its dataset
+    width: int = Field(ge=1)  # Pixels
+    height: int = Field(ge=1)  # Pixels
+    depth: Literal["depth.png", "depth.npy"]  # File of the depth
+    units: FiniteFloat | None = Field(gt=0)  # Depth units in one metre; null for metres
+    K: tuple[Three, Three, Three]  # Intrinsics, pixels
+    T_world_camera: tuple[Four, Four, Four, Four] | None  # Pose: camera to world, metres
+    up: Three | None  # Against gravity, camera frame
+    up_source: UpSource | None  # What says so
+    annotations: tuple[SavedAnnotation, ...]  # Annotated objects
+    notes: tuple[str, ...] = ()  # Oddities of the frame
+    depth_source: str | None = None  # Network that estimated the depth
 
 
 def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:

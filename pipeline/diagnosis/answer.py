@@ -18,7 +18,7 @@ from pipeline.datasets.plausible import depth_doubt
 from pipeline.diagnosis.oracles import RECALL, names_of
 from pipeline.diagnosis.story import unjudged_story
 from pipeline.diagnosis.story_words import Story
-from pipeline.diagnosis.verdict import MODULE_OF, NOT_SEEN, Diagnosis, Unseen
+from pipeline.diagnosis.verdict import MODULE_OF, NOT_SEEN, Diagnosis, FactorRepair, Unseen
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from pipeline.system.errors import InputError
@@ -42,7 +42,11 @@ class Stage:
 
     def record(self) -> dict[str, Any]:
         """JSON record, without the time."""
-        return {"name": self.name, "mark": self.mark, "words": self.words}
+        return {
+            "name": self.name,  # Module
+            "mark": self.mark,  # good, doubt, bad or idle
+            "words": self.words,  # As the page shows them
+        }
 
 
 def failed_stages(trace: Trace | None, judged: Judged, refused: str = "PARSE") -> tuple[str, ...]:
@@ -222,7 +226,17 @@ class AnswerSource(Protocol):
 
 @dataclass(frozen=True)
 class Answer(InNotebook):
-    """Answer to an expression, with its trace and verdict; positions in `pairs` are those in `objects`."""
+    """Answer to an expression, with its trace and verdict; positions in `pairs` are those in `objects`.
+
+    >>> from pipeline import ask
+    >>> answer = ask("demo", 0, "mug left of the laptop")
+    >>> answer
+    <Answer 'mug left of the laptop' on '000001/000000': mug·3 left of laptop·2: relation 1.00, product 1.00; CORRECT>
+    >>> answer.target.label, answer.holds, len(answer.pairs)
+    ('mug', True, 2)
+    >>> answer.target.box.center.round(1)
+    array([-0.3,  0.1,  1.9])
+    """
 
     text: str  # The expression as it was asked
     trace: Trace | None = None  # Every stage's input and output; None where the expression cannot be read or asked
@@ -310,13 +324,21 @@ class Answer(InNotebook):
         record, judged, trace = _answer_record(self), self.diagnosis or self.unseen or self.unjudged, self.trace
         if trace is not None:
             odd = depth_doubt(trace.frame) is not None
+            # How each module fared, in order
             record["stages"] = [stage.record() for stage in stages_of(trace, judged, odd_depth=odd)]
         if self.diagnosis is not None:
+            # Which module failed, where the truth is known
             return {**record, "verdict": diagnosis_record(self.diagnosis)}
         if self.unseen is not None:
             told = {"verdict": NOT_SEEN, "detail": self.unseen.detail, **story_record(self.story)}
             return {**record, "verdict": told | {"unseen": asdict(self.unseen)}}
-        return record | ({} if self.unjudged is None else {"verdict": None, "verdict_reason": self.unjudged})
+        if self.unjudged is None:
+            return record
+        return {
+            **record,
+            "verdict": None,
+            "verdict_reason": self.unjudged,  # Why there is no verdict
+        }
 
     def what_if(self, edits: Edited) -> Answer:
         """Answer under edits, written as for `whatif --edits`; judged by the same truth.
@@ -364,49 +386,63 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
         None
         if d.missed is None
         else {
-            "name": d.missed_name,
-            "kind": d.missed.kind,
-            "overlap": round(d.missed.overlap, 4),
-            "score": _rounded(d.missed.score),
-            "rank": d.missed.rank,
-            "suppressed": d.missed.suppressed,
+            "name": d.missed_name,  # Name whose right object was not proposed
+            "kind": d.missed.kind,  # How it was missed
+            "overlap": round(d.missed.overlap, 4),  # Best overlap of a proposal with it
+            "score": _rounded(d.missed.score),  # Score of that proposal
+            "rank": d.missed.rank,  # Its rank among those of the name
+            "suppressed": d.missed.suppressed,  # It overlapped a better one
         }
     )
     return {
-        "verdict": d.verdict,
-        "detail": d.detail,
-        "lucky": d.lucky,
+        "verdict": d.verdict,  # CORRECT, or the module that failed
+        "detail": d.detail,  # Finer kind of the verdict
+        "lucky": d.lucky,  # Right, but with a pair that is not acceptable
         **story_record(d.story),
-        "repair": list(d.repair),
-        "mends": list(d.mends),
+        "repair": list(d.repair),  # Smallest set of modules whose truth would make it right
+        "mends": list(d.mends),  # Each module whose truth alone would
+        # Numbers of the labels: target, reference, targets, acceptable
         "truth": {
             "target": int(numbers[case.target_object]),
             "reference": int(numbers[case.reference_object]) if case.reference else None,
             "targets": numbers[case.strict].tolist(),
             "acceptable": numbers[case.acceptable].tolist(),
         },
-        "winner": _pair_record(d.winner),
-        "right": _pair_record(d.right),
+        "winner": _pair_record(d.winner),  # The answer's pair
+        "right": _pair_record(d.right),  # Best acceptable pair among the candidates
+        # What each factor gave the answer over the right pair, of the logarithm of the score
         "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
+        # Lead of the right pair by true modules: none, one, or several
         "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in _shown(d)},
-        "needed": [
-            {
-                "factor": n.factor,
-                "right": round(n.right, 6),
-                "winner": round(n.winner, 6),
-                "right_above": _rounded(n.right_above),
-                "winner_below": _rounded(n.winner_below),
-            }
-            for n in d.needed
-        ],
-    } | present(missed=missed, unseen=None if d.unseen is None else asdict(d.unseen))
+        # What one factor alone would have to be for the right pair to win
+        "needed": [_needed_record(n) for n in d.needed],
+    } | present(
+        missed=missed,  # With OPM: what the detector gave in place of the right object
+        unseen=None if d.unseen is None else asdict(d.unseen),  # With NOT-SEEN: which frames see it
+    )
+
+
+def _needed_record(n: FactorRepair) -> dict[str, Any]:
+    return {
+        "factor": n.factor,  # target, reference or relation
+        "right": round(n.right, 6),  # What it is of the best acceptable pair
+        "winner": round(n.winner, 6),  # What it is of the answer's pair
+        "right_above": _rounded(n.right_above),  # The first would have to be above; null where nothing helps
+        "winner_below": _rounded(n.winner_below),  # Or the second below
+    }
 
 
 def story_record(told: Story) -> dict[str, Any]:
     """Story as in `ask --json`: the mend with the number that a what-if would change, or null."""
     change = None if told.change is None else asdict(told.change)
     mend = {"said": told.mend, "change": change} if told.mend else None
-    return {"head": told.head, "tone": told.tone, "kind": told.kind, "said": told.sentence, "mend": mend}
+    return {
+        "head": told.head,  # Right or wrong, in a few words
+        "tone": told.tone,  # good, doubt, bad or none
+        "kind": told.kind,  # Of what is said
+        "said": told.sentence,  # Why, in a sentence
+        "mend": mend,  # Smallest change that helps: said, change; null where none is known
+    }
 
 
 def _shown(d: Diagnosis) -> tuple[int, ...]:

@@ -8,7 +8,11 @@ from typing import Any
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.safe_files import read_json
 
-_KEYS = ("frame", "id", "mark")
+_KEYS = (
+    "frame",  # Id of the frame
+    "id",  # Of the expression in the labels
+    "mark",  # What is wrong
+)
 MARKS = ("BAD_LABEL", "BAD_BOX")
 
 

@@ -33,9 +33,16 @@ Source = str | Path | Dataset | Frame | Sequence[Frame]
 
 @dataclass(frozen=True)
 class Opened:
-    """Pipeline opened for questions from Python, with the truth of its frames."""
+    """Pipeline opened for questions from Python, with the truth of its frames.
 
-    pipeline: Pipeline
+    >>> opened = open("demo")
+    >>> opened
+    <Pipeline demo: 12 frames, detector annotations, relations by rel32>
+    >>> opened.frames[0].rgb.shape, opened.ask(0, "mug left of the laptop").verdict
+    ((480, 640, 3), 'CORRECT')
+    """
+
+    pipeline: Pipeline  # Dataset with its models
     labels: Labels | None = None  # What is true; without them the frames' annotations say it, where there are any
     # Shows this, or an answer of it. The core has no screen: `spatialviz.open` sets it.
     viewer: Callable[..., Any] | None = None

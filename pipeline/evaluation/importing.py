@@ -147,10 +147,21 @@ def import_records(
     ------
     InputError
         As `import_run`; messages count the records from 1, without the header. No record.
+
     Warns
     -----
     UserWarning
         What `import-run` tells of a file: lines that are not read or not judged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pipeline.datasets.demo import demo_labels
+    >>> text = "which potted plant is on the left side of a shelf?"
+    >>> line = {"frame": "000001/000000", "text": text, "answer": {"point": [320, 240]}}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     import_records([line], "demo", demo_labels(), f"{folder}/run", header={"system": "mine"}, plots=False)
+    <Run run: mine, 1 expressions>
     """
     return open_run(_judged(records, dataset, labels, out, header, options))
 

@@ -186,32 +186,39 @@ def evaluate_dataset(
         write_json(
             folder / RUN_FILE,
             {
-                "tool": "spatialviz",
-                "version": __version__,
-                "verdict_rules": RULES_VERSION,
-                "name": name,
+                "tool": "spatialviz",  # Program that wrote it
+                "version": __version__,  # Of the program
+                "verdict_rules": RULES_VERSION,  # Version of the rules of verdicts
+                "name": name,  # Of the system that answered
+                # Hashes of the labels that were asked
                 "labels": {"config_hash": labels.manifest.config_hash, "content_hash": asked},
+                # What found the objects, with its fingerprint
                 "detector": f"{detector.name}: {detector.fingerprint()}",
-                "scorer": source.scorer.name,
-                "system": system.name,
+                "scorer": source.scorer.name,  # What scored relations
+                "system": system.name,  # Kind: pipeline, referring, vlm, imported
+                # Of a vision-language model: which, and how it was asked
                 "vlm": None if spec.pairs is None else spec.pairs.record(),
-                "limit": spec.limit,
+                "limit": spec.limit,  # Only so many expressions; null for all
+                # What was evaluated, on what; paths as seen from this folder
                 "spec": json.loads(json.dumps(spec_record(spec, out.resolve()), default=str)),
                 **more,
-                "marks": len(spec.marks),
+                "marks": len(spec.marks),  # Expressions that a person marked as wrong
+                # Score that an object gets that the detector missed
                 "recalled_confidence": {"median": spec.confidence, "of": seen},
-                "config": plain,
-                "config_hash": canonical_hash(plain),
-                "expressions": records.num_rows,
-                "warnings": [*causes, *warnings],
-                "makers": makers.record(),
-                "measured": None if measured is None else measured.record(),
-                "shares": [share.record() for share in own],
+                "config": plain,  # All settings of an answer
+                "config_hash": canonical_hash(plain),  # Of `config`
+                "expressions": records.num_rows,  # How many were answered
+                "warnings": [*causes, *warnings],  # What a reader should know
+                "makers": makers.record(),  # What made the labels
+                "measured": None if measured is None else measured.record(),  # What was measured
+                "shares": [share.record() for share in own],  # Makers that labels and answers have in common
+                # What the intervals are drawn over: scene or frame
                 "clusters": clusters_of(records)[1] if spec.grounding else None,
-                "relations": None if relations is None else relations.record,
+                "relations": None if relations is None else relations.record,  # Relations measured alone, pair by pair
+                # Time it took
                 "seconds": {"evaluating": round(evaluated, 2), "in_all": round(perf_counter() - start, 2)},
-                "environment": environment(),
-                "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+                "environment": environment(),  # Versions of Python and libraries
+                "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),  # Time, UTC
             },
         )
         if not spec.grounding:
@@ -258,6 +265,14 @@ def evaluate(
         Measure relations alone too, pair by pair.
     options
         Further arguments of `open_pipeline`: detector, model, min_score, srm, config, ...
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pipeline.datasets.demo import demo_labels
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     evaluate("demo", demo_labels(), f"{folder}/run", limit=20, relations=False, plots=False).verdicts
+    {'CORRECT': 19, 'LABEL': 1}
     """
     vectors = options.get("vectors")
     alone = RelationSpec(vectors=None if vectors is None else str(vectors)) if relations else None

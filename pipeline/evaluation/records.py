@@ -22,28 +22,28 @@ from pipeline.system.errors import InputError, as_input_error, first_line, requi
 from pipeline.system.safe_files import read_parquet
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
-    "verdict": "string",
-    "detail": "string",
-    "lucky": "bool",
-    "said": "string",
-    "repair": "strings",
-    "mends": "strings",
-    "right_with": "int32",
-    "margin": "float32",
-    "margin_lift": "float32",
-    "margin_srm": "float32",
-    "margin_conf": "float32",
-    "false_target": "bool",
-    "false_reference": "bool",
-    "untold": "strings",
-    "missed_name": "string",
-    "missed_overlap": "float32",
-    "missed_score": "float32",
-    "missed_rank": "int32",
-    "object_size": "float32",
-    "object_distance": "float32",
-    "object_occluded": "float32",
-    "object_pixels": "int32",
+    "verdict": "string",  # CORRECT, or the module that failed
+    "detail": "string",  # Finer kind of the verdict
+    "lucky": "bool",  # Right, but with a pair that is not acceptable
+    "said": "string",  # Verdict in a sentence
+    "repair": "strings",  # Smallest set of modules whose truth would make it right
+    "mends": "strings",  # Each module whose truth alone would
+    "right_with": "int32",  # Bit s set: right with subset s of the true modules (RECALL 1, LIFT 2, SRM 4, CONF 8)
+    "margin": "float32",  # Score of the best acceptable pair less that of the best other one
+    "margin_lift": "float32",  # The same with true 3D boxes
+    "margin_srm": "float32",  # The same with true relations
+    "margin_conf": "float32",  # The same with true confidences
+    "false_target": "bool",  # The answered target is no labelled object
+    "false_reference": "bool",  # Its reference is no labelled object
+    "untold": "strings",  # Of imported predictions: modules that cannot be replaced, and why
+    "missed_name": "string",  # Name whose right object was not proposed
+    "missed_overlap": "float32",  # Best overlap of a proposal with it
+    "missed_score": "float32",  # Score of that proposal
+    "missed_rank": "int32",  # Its rank among those of the name
+    "object_size": "float32",  # Longest edge of the labelled target's box, metres
+    "object_distance": "float32",  # Of the labelled target, metres
+    "object_occluded": "float32",  # Occluded share of its border
+    "object_pixels": "int32",  # Pixels of its mask
 }
 """`verdict` and the rest of `pipeline.diagnosis.verdict.Diagnosis`; `said` is it in words; `mends` names each oracle
 that alone would do. `right_with` has bit s set where the target is right with subset s of the oracles (RECALL 1, LIFT
@@ -54,61 +54,61 @@ file gives no 3D boxes"; what `right_with` says of it is no part of what a modul
 
 
 COLUMNS: dict[str, str] = {
-    "id": "string",
-    "frame": "string",
-    "frame_index": "int32",
-    "scene": "string",
-    "text": "string",
-    "kind": "string",
-    "target": "string",
-    "relation": "string",
-    "reference": "string",
-    "target_object": "int32",
-    "reference_object": "int32",
-    "answers_strict": "int32",
-    "answers": "int32",
-    "same_class": "int32",
-    "ambiguous": "bool",
-    "label_margin": "float32",
-    "parse_ok": "bool",
-    "problem": "string",
-    "degenerate": "bool",
-    "opm_box": "box",
-    "opm_score": "float32",
-    "opm_iou": "float32",
-    "opm_strict_iou": "float32",
-    "opm_set_iou": "float32",
-    "targets_found": "int32",
-    "references_found": "int32",
-    "target_rank": "int32",
-    "reference_rank": "int32",
-    "pair_covered": "bool",
-    "box": "box",
-    "reference_box": "box",
-    "iou": "float32",
-    "strict_iou": "float32",
-    "set_iou": "float32",
-    "correct": "bool",
-    "strict_correct": "bool",
-    "set_correct": "bool",
-    "reference_correct": "bool",
-    "pair_correct": "bool",
-    "matched_target": "int32",
-    "matched_reference": "int32",
-    "label_state": "int8",
-    "p_target": "float32",
-    "p_reference": "float32",
-    "p_relation": "float32",
-    "log_score": "float32",
-    "log_margin": "float32",
-    "right_p_target": "float32",
-    "right_p_reference": "float32",
-    "right_p_relation": "float32",
-    "right_log_score": "float32",
-    "worked_out": "strings",
-    "target_points": "int32",
-    "target_depth_missing": "float32",
-    "target_distance": "float32",
+    "id": "string",  # Of the expression in the labels
+    "frame": "string",  # Id of the frame
+    "frame_index": "int32",  # Its index in the dataset
+    "scene": "string",  # Place whose frames share a world
+    "text": "string",  # The sentence
+    "kind": "string",  # Kind of sentence
+    "target": "string",  # Class name of what is asked for
+    "relation": "string",  # Relation that is asked
+    "reference": "string",  # Class name of what it stands in relation to
+    "target_object": "int32",  # Object that was meant
+    "reference_object": "int32",  # Its reference
+    "answers_strict": "int32",  # Objects that answer beyond doubt
+    "answers": "int32",  # Objects that are acceptable
+    "same_class": "int32",  # Objects of the target's class
+    "ambiguous": "bool",  # More than one is acceptable
+    "label_margin": "float32",  # Of the pair that was meant, metres
+    "parse_ok": "bool",  # The words were read as the labels mean them
+    "problem": "string",  # Why there is no answer
+    "degenerate": "bool",  # All pairs are one thing: the detector's best target answers alone
+    "opm_box": "box",  # The detector's best target alone: x0, y0, x1, y1, pixels
+    "opm_score": "float32",  # Its score
+    "opm_iou": "float32",  # Its overlap with the object that was meant
+    "opm_strict_iou": "float32",  # Its best overlap with an object that answers beyond doubt
+    "opm_set_iou": "float32",  # Its best overlap with an acceptable one
+    "targets_found": "int32",  # Candidates for the target
+    "references_found": "int32",  # Candidates for the reference
+    "target_rank": "int32",  # Rank of the best right target
+    "reference_rank": "int32",  # Rank of the best right reference
+    "pair_covered": "bool",  # A right pair is among the candidates
+    "box": "box",  # Of the answer: x0, y0, x1, y1, pixels
+    "reference_box": "box",  # Of its reference
+    "iou": "float32",  # Overlap of the answer with the object that was meant
+    "strict_iou": "float32",  # Its best overlap with an object that answers beyond doubt
+    "set_iou": "float32",  # Its best overlap with an acceptable one
+    "correct": "bool",  # `iou` is at least .5
+    "strict_correct": "bool",  # `strict_iou` is
+    "set_correct": "bool",  # `set_iou` is
+    "reference_correct": "bool",  # The reference is right
+    "pair_correct": "bool",  # Target and reference are right together
+    "matched_target": "int32",  # Labelled object that the answer is
+    "matched_reference": "int32",  # Labelled object that its reference is
+    "label_state": "int8",  # State of the relation between these two: 1 T, 0 U, -1 F
+    "p_target": "float32",  # P(target) of the answer
+    "p_reference": "float32",  # P(reference)
+    "p_relation": "float32",  # P(relation)
+    "log_score": "float32",  # Logarithm of its weighted product
+    "log_margin": "float32",  # How far it leads the next pair, in that logarithm
+    "right_p_target": "float32",  # P(target) of the best right pair
+    "right_p_reference": "float32",  # P(reference) of it
+    "right_p_relation": "float32",  # P(relation) of it
+    "right_log_score": "float32",  # Logarithm of its product
+    "worked_out": "strings",  # Of imported predictions: numbers that the file does not give
+    "target_points": "int32",  # 3D points of the answer
+    "target_depth_missing": "float32",  # Share of its mask without depth
+    "target_distance": "float32",  # From the camera, metres
     **DIAGNOSIS_COLUMNS,
 }
 """The columns of `records.parquet`. Indices of objects are those of the labels, ranks count from 1 and are null where

@@ -139,10 +139,18 @@ def asked_again(opened: Opened, spec: EvalSpec, frame: str, expression: str) -> 
 
 @dataclass(frozen=True, eq=False)
 class Run(InNotebook):
-    """A finished evaluation."""
+    """A finished evaluation.
 
-    folder: Path
-    name: str
+    >>> from pipeline.datasets.demo import demo_run
+    >>> run = open_run(demo_run())
+    >>> run.verdicts["OPM-CONF"], run.records.num_rows
+    (120, 1800)
+    >>> run.failures("verdict:SRM")[0]
+    <Failure 'show me the lamp above the rug' on '000002/000002': SRM>
+    """
+
+    folder: Path  # The run folder
+    name: str  # Of the system that answered
     manifest: Mapping[str, Any]  # the whole of `run.json`
     spec: EvalSpec  # what was evaluated on what; paths are those of this machine
 
@@ -321,6 +329,12 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
     ------
     InputError
         No run there, a manifest that cannot be read, or one of an earlier release.
+
+    Examples
+    --------
+    >>> from pipeline.datasets.demo import demo_run
+    >>> open_run(demo_run())
+    <Run run: simulated detector, 1800 expressions>
     """
     folder = Path(folder)
     path, manifest = folder / RUN_FILE, read_manifest(folder)

@@ -34,12 +34,17 @@ class PictureInput(ContractTable):
     size: tuple[Side, Side] | None = None
     """Height and width, where the file leaves them open."""
     layout: Literal["NCHW", "NHWC"] = "NCHW"
+    """Order of the tensor: channels first or last."""
     colour: Literal["RGB", "BGR"] = "RGB"
+    """Order of the channels."""
     scale: FiniteFloat = 1 / 255
+    """Factor of a value of 0 to 255."""
     mean: Triple = (0.0, 0.0, 0.0)
+    """Taken off after that, in the order of `colour`."""
     std: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1, 1, 1)
-    """Mean and std in the order of `colour`."""
+    """What is left is divided by it, in the order of `colour`."""
     fit: Literal["letterbox", "letterbox-top-left", "stretch"] = "letterbox"
+    """How the picture fills the input: whole, in the middle or at the top left, or stretched."""
     pad: Annotated[int, Field(ge=0, le=255)] | Triple = 114
     """Padding around the picture: one value, or one each of red, green and blue."""
     interpolation: Literal["linear", "cubic", "area"] = "linear"

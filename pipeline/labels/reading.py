@@ -243,8 +243,8 @@ class Labels:
     'which potted plant is on the left side of a shelf?'
     """
 
-    root: Path
-    manifest: Manifest
+    root: Path  # The labels folder
+    manifest: Manifest  # What made them
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{self.manifest.tables[name].rows} {name}" for name in TABLES)
@@ -256,18 +256,22 @@ class Labels:
 
     @cached_property
     def frames(self) -> pa.Table:
+        """One row a frame; the columns of each table stand in `pipeline.labels.schema`."""
         return self.table("frames")
 
     @cached_property
     def objects(self) -> pa.Table:
+        """One row an object."""
         return self.table("objects")
 
     @cached_property
     def relations(self) -> pa.Table:
+        """One row an ordered pair of objects of a frame."""
         return self.table("relations")
 
     @cached_property
     def expressions(self) -> pa.Table:
+        """One row a sentence."""
         return self.table("expressions")
 
     @property

@@ -35,9 +35,12 @@ ADDED_COLUMNS = {"open_sides": "1.3.0"} | {
 """Columns that came later, with the version that brought them: a file of an older one has none, and
 reads as null."""
 
-State = Annotated[Literal[-1, 0, 1] | None, Field(json_schema_extra={"arrow": "int8"})]
-"""1 the relation holds (T), 0 too close to call (U), -1 it does not (F); null where the profile does not judge it."""
-Margin = Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
+_STATE = (
+    "1 the relation holds (T), 0 too close to call (U), -1 it does not (F); null where the profile does not judge it"
+)
+_MARGIN = "How far, in metres, the measures stand from where the state would change: positive for T, negative for F"
+State = Annotated[Literal[-1, 0, 1] | None, Field(description=_STATE, json_schema_extra={"arrow": "int8"})]
+Margin = Annotated[float | None, Field(description=_MARGIN, json_schema_extra={"arrow": "float32"})]
 Count = Annotated[int, Field(ge=0, json_schema_extra={"arrow": "int32"})]
 Share = Annotated[float, Field(ge=0, le=1, json_schema_extra={"arrow": "float32"})]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -52,8 +55,8 @@ class LabelRow(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    frame: str
-    frame_index: Count
+    frame: str  # Id of the dataset's frame
+    frame_index: Count  # Its index in the dataset
 
 
 class FrameRow(LabelRow):
@@ -63,19 +66,19 @@ class FrameRow(LabelRow):
     `pipeline.geometry.viewer.viewer_axes` gives the axes in which everything is judged.
     """
 
-    scene: str
-    ok: bool
-    problem: str | None
-    width: Count
-    height: Count
-    K: Matrix | None
-    T_world_camera: Pose | None
-    up: Vector | None
-    up_source: UpSource | None
-    rgb_hash: str | None
-    depth_hash: str | None
-    objects: Count
-    notes: list[str]
+    scene: str  # Place whose frames share a world
+    ok: bool  # False where the frame could not be read or labelled
+    problem: str | None  # Why not
+    width: Count  # Of the picture, pixels
+    height: Count  # Of the picture, pixels
+    K: Matrix | None  # Intrinsics, pixels; row by row
+    T_world_camera: Pose | None  # Pose: camera to world, metres; row by row
+    up: Vector | None  # Unit vector against gravity, camera frame
+    up_source: UpSource | None  # What says where up is
+    rgb_hash: str | None  # Of the colour pixels
+    depth_hash: str | None  # Of the depth
+    objects: Count  # How many the frame has
+    notes: list[str]  # Oddities that were left out or mended
 
 
 class ObjectRow(LabelRow):
@@ -92,39 +95,41 @@ class ObjectRow(LabelRow):
     for in expressions.
     """
 
-    object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
-    label: str
-    score: Share
+    object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]  # Its number in the frame
+    label: str  # Class name
+    score: Share  # The detector's
+    # The same object's number in all frames of the scene, where it is known
     instance: Annotated[int | None, Field(json_schema_extra={"arrow": "int32"})]
-    bbox: Pixels
-    mask: str | None
-    mask_source: str
-    mask_pixels: Count
-    points: Count
-    kept: Share
-    depth_missing: Share
-    touches_border: bool
-    fallback: bool
-    distance: float | None
-    center: Vector | None
-    R: Matrix | None
-    size: Vector | None
-    yaw_confidence: Share
-    estimator: BoxMode
-    open_sides: list[Side] | None = None
-    pca_center: Vector | None
-    pca_R: Matrix | None
-    pca_size: Vector | None
-    lo: Vector | None
-    hi: Vector | None
-    centroid: Vector | None
-    exact_center: Vector | None
-    exact_R: Matrix | None
-    exact_size: Vector | None
+    bbox: Pixels  # x0, y0, x1, y1, pixels; x1 and y1 are exclusive edges
+    mask: str | None  # Visible pixels, as COCO's compressed run-length code; null where there are none
+    mask_source: str  # What made the mask
+    mask_pixels: Count  # How many pixels it has
+    points: Count  # Pixels of it that were kept
+    kept: Share  # Share of the mask that was kept
+    depth_missing: Share  # Share of the mask without depth
+    touches_border: bool  # The mask reaches the picture's border
+    fallback: bool  # Cleaning left too few pixels: the raw mask was used
+    distance: float | None  # Median depth of its points, metres
+    center: Vector | None  # Of the 3D box, camera frame, metres
+    R: Matrix | None  # Rotation of the box to the camera frame; row by row, its columns are the box's axes
+    size: Vector | None  # Full edge lengths along those axes, metres
+    yaw_confidence: Share  # How sure the box's turn is
+    estimator: BoxMode  # What fitted the box
+    open_sides: list[Side] | None = None  # Sides, by the viewer's axes, beyond which the object may go on
+    pca_center: Vector | None  # The paper's PCA box, as `center`
+    pca_R: Matrix | None  # The same, as `R`
+    pca_size: Vector | None  # The same, as `size`
+    lo: Vector | None  # Least right, up and forward of the points, viewer's axes, metres
+    hi: Vector | None  # Greatest right, up and forward of the points, metres
+    centroid: Vector | None  # Middle of the points, viewer's axes, metres
+    exact_center: Vector | None  # The dataset's own box, as `center`
+    exact_R: Matrix | None  # The same, as `R`
+    exact_size: Vector | None  # The same, as `size`
+    # Share that is not occluded, by the dataset
     visible: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
-    occluded: Share
-    usable: bool
-    reason: str | None
+    occluded: Share  # Share of the mask's border beside which something is at least 5 cm nearer
+    usable: bool  # It is asked for in expressions
+    reason: str | None  # Why it is not usable
 
 
 class PairRow(LabelRow):
@@ -134,10 +139,10 @@ class PairRow(LabelRow):
     would change: positive for T, negative for F, 0 for U.
     """
 
-    a: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
-    b: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
-    distance: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
-    doubted: Count
+    a: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]  # Number of the object that the relation is said of
+    b: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]  # Number of the object that it stands in relation to
+    distance: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]  # Between the two, metres
+    doubted: Count  # Bit k set: a second opinion made relation k of the columns undecided
 
 
 _OF_RELATIONS: dict[str, Any] = dict.fromkeys(PAIRWISE, (State, None))
@@ -154,20 +159,20 @@ class ExpressionRow(LabelRow):
     doubtful ones (U). `ambiguous` says that more than one is acceptable.
     """
 
-    id: str
-    text: str
-    target: str
-    relation: str
-    reference: str
-    target_object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
-    reference_object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
-    targets: Objects
-    acceptable: Objects
-    ambiguous: bool
+    id: str  # The same words of the same objects have the same id
+    text: str  # The sentence
+    target: str  # Class name of what is asked for
+    relation: str  # Relation that is asked
+    reference: str  # Class name of what it stands in relation to
+    target_object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]  # Number of the object that was meant
+    reference_object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]  # Number of its reference
+    targets: Objects  # Objects that answer it beyond doubt
+    acceptable: Objects  # Those and the doubtful ones
+    ambiguous: bool  # More than one is acceptable
     margin: Margin
-    judged_in: Literal["viewer"]
-    up_source: UpSource
-    profile: str
+    judged_in: Literal["viewer"]  # Axes that left, right, front and behind are of
+    up_source: UpSource  # What says where up is
+    profile: str  # Rules that decided
 
 
 class TableFile(BaseModel):
@@ -175,10 +180,10 @@ class TableFile(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    file: str
-    rows: int
-    content_hash: str
-    sha256: str
+    file: str  # Below the folder
+    rows: int  # How many it has
+    content_hash: str  # Of the rows in canonical order
+    sha256: str  # Of the file
 
 
 SENTENCES_OF = "sentences_"
@@ -198,24 +203,24 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    schema_version: str
-    tool: str
-    version: str
-    config: dict[str, Any]
-    config_hash: str
-    profile: dict[str, Any]
-    profile_hash: str
-    selection: dict[str, Any]
-    dataset: dict[str, Any]
-    models: dict[str, str]
-    seed: int
-    counts: dict[str, int]
-    warnings: list[str]
-    tables: dict[str, TableFile]
-    environment: dict[str, str]
-    created: str
-    corrections: dict[str, Any] | None = None
-    makers: dict[str, Any] | None = None
+    schema_version: str  # Of the tables
+    tool: str  # Program that wrote it
+    version: str  # Of the program
+    config: dict[str, Any]  # How frames were labelled
+    config_hash: str  # Of `config`
+    profile: dict[str, Any]  # Thresholds of the rules, metres and degrees
+    profile_hash: str  # Of `profile`
+    selection: dict[str, Any]  # Which expressions were kept
+    dataset: dict[str, Any]  # What was labelled: its path, format and name
+    models: dict[str, str]  # Networks that took part, each with its hash
+    seed: int  # Of all that is drawn at random
+    counts: dict[str, int]  # Frames, objects, pairs and expressions, and what was left out
+    warnings: list[str]  # What a reader should know
+    tables: dict[str, TableFile]  # By name
+    environment: dict[str, str]  # Versions of Python and libraries
+    created: str  # Time, UTC
+    corrections: dict[str, Any] | None = None  # From which journal, and how many
+    makers: dict[str, Any] | None = None  # What made masks, boxes and relations
 
     @property
     def sentences(self) -> dict[str, int]:

@@ -46,6 +46,7 @@ class BoxOutput(ContractTable):
     """Outputs of the detector; `form` selects the layout and the required keys."""
 
     form: Literal["rows", "separate", "distances"]
+    """A row for each candidate, outputs for boxes and scores, or distances from the cells of a grid."""
     rows: str | None = None
     """rows: one output with a row for each candidate."""
     columns: tuple[Column, ...] = ("box", "scores")
@@ -61,6 +62,7 @@ class BoxOutput(ContractTable):
     strides: tuple[Annotated[int, Field(ge=1)], ...] = ()
     """distances: input pixels of a cell, for each output."""
     box: Literal["xyxy", "yxyx", "cxcywh", "xywh"] = "xyxy"
+    """What the four numbers of a box are."""
     units: Literal["input", "share", "picture"] = "input"
     """Boxes are in pixels of the input, shares of it, or pixels of the picture."""
     activation: Literal["none", "sigmoid", "softmax"] = "none"
@@ -70,7 +72,9 @@ class BoxOutput(ContractTable):
     nms: bool = True
     """Rivals must still be suppressed: they are not in the file."""
     nms_iou: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Overlap from which two boxes are rivals."""
     min_score: Annotated[float, Field(ge=0, le=1)] = 0.25
+    """Candidates below it are dropped."""
 
     @model_validator(mode="after")
     def _of_one_form(self) -> BoxOutput:
@@ -102,7 +106,9 @@ class BoxModel(ContractTable):
     """The whole of the file."""
 
     input: BoxInput = BoxInput()
+    """How the picture is given to the network."""
     output: BoxOutput
+    """What its outputs hold."""
     names: tuple[str, ...] = ()
     """Class names in the order of the outputs; by default those in the model's metadata."""
     names_file: str | None = None

@@ -28,9 +28,15 @@ Beyond = Mapping[str, Mapping[tuple[int, ...], float]]
 
 @dataclass(frozen=True)
 class RelationScores:
-    """Probabilities of every relation of every ordered pair of a list of objects."""
+    """Probabilities of every relation of every ordered pair of a list of objects.
 
-    relations: tuple[str, ...]
+    >>> states = np.array([[[0], [1]], [[-1], [0]]], np.int8)
+    >>> scores = RelationScores(("left",), states, np.where(states > 0, 0.9, 0.1), {"left": "mine"})
+    >>> scores, float(scores.of("left")[0, 1])
+    (<RelationScores of 2 objects: left>, 0.9)
+    """
+
+    relations: tuple[str, ...]  # Names, in the order of R
     states: np.ndarray  # (N, N, R) int8: the rule's verdicts: 1 T, 0 U, -1 F
     probabilities: np.ndarray  # (N, N, R) float64: P("a RELATION b") at [a, b]
     scored_by: dict[str, str]  # Relation -> name of what scored it ("rule" where no network has a head for it)
@@ -54,7 +60,19 @@ class RelationScores:
 
 
 class RelationScorer(Protocol):
-    """Scorer of each relation of each ordered pair."""
+    """Scorer of each relation of each ordered pair.
+
+    >>> class Always:
+    ...     name = "always"
+    ...
+    ...     def score(self, objects, viewer, appearance=None, relations=PAIRWISE):
+    ...         shape = (len(objects), len(objects), len(relations))
+    ...         by = dict.fromkeys(relations, self.name)
+    ...         return RelationScores(tuple(relations), np.ones(shape, np.int8), np.ones(shape), by)
+    >>> scorer: RelationScorer = Always()
+    >>> scorer.score([], None).of("left").shape
+    (0, 0)
+    """
 
     @property
     def name(self) -> str: ...

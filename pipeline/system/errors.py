@@ -17,6 +17,13 @@ class InputError(ValueError):
 
     The message is one line: `what` was wrong, what was `got`, what was `expected`, the likely `cause`, phrased as help,
     and the file at `path`.
+
+    >>> from pipeline import open_labels
+    >>> try:
+    ...     open_labels("nowhere")
+    ... except InputError as error:
+    ...     print(error.what, "-", error.path)
+    no labels here - nowhere
     """
 
     def __init__(

@@ -34,7 +34,7 @@ Mode = Literal["add", "remove", "replace"]
 class Shapes(BaseModel):
     """Pixels by one of two shapes, in pixels, x before y."""
 
-    polygon: list[list[float]] | None = None
+    polygon: list[list[float]] | None = None  # Corners
     # x0, y0, x1, y1; of a new object the depth segmenter's surface inside
     rectangle: Annotated[list[float], Field(min_length=4, max_length=4)] | None = None
 
@@ -58,10 +58,10 @@ class Action(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    edit: str
-    frame: str
-    reason: str = ""
-    base: int | None = Field(default=None, ge=0)
+    edit: str  # Kind of action
+    frame: str  # Id of the frame
+    reason: str = ""  # Kept with the correction
+    base: int | None = Field(default=None, ge=0)  # Version of the cell that the person saw; by default the newest
 
 
 class OfObject(Action):
@@ -86,11 +86,11 @@ class Mask(OfObject, Shapes):
 class OfItem(Action):
     """Action on an object, a relation of a pair, an expression, or by default the frame."""
 
-    object: int | None = None
-    a: int | None = None
+    object: int | None = None  # Number of an object
+    a: int | None = None  # With b and relation: of a pair
     b: int | None = None
     relation: str | None = None
-    expression: str | None = None
+    expression: str | None = None  # Id of an expression
 
     @property
     def ref(self) -> FieldRef:
@@ -158,30 +158,40 @@ def _settle(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -
 
 
 KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFrame, str, Canvas | None], Edits]]] = {
+    # Class name of an object
     "class": (OfObject, {"to": str}, lambda a, frame, *_: actions.set_class(frame, a.object, a.to, a.reason)),
-    "mask": (Mask, {}, _mask),
+    "mask": (Mask, {}, _mask),  # Its pixels: a code, or a shape that replaces, adds or removes
+    # Its 2D box: x0, y0, x1, y1, pixels
     "bbox": (OfObject, {"to": list[float]}, lambda a, frame, *_: actions.set_bbox(frame, a.object, a.to, a.reason)),
+    # Its 3D box: center, R, size; null for the box that its points make
     "box": (
         OfObject,
         {"to": dict[str, list[float]] | None},
         lambda a, frame, *_: actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), a.reason),
     ),
+    # Faces of its 3D box moved: ["face", axis 0 to 2, side 1 or -1, metres] each
     "drag": (OfObject, {"moves": list[list[Any]]}, lambda a, frame, *_: drag_box(frame, a.object, a.moves, a.reason)),
+    # Review of an item for all: accepted, corrected, rejected, unsure; null takes it back
     "status": (OfItem, {"to": str | None}, lambda a, frame, *_: actions.set_status(frame, a.ref, a.to, a.reason)),
+    # One reviewer's word on an item: a status, or of a relation T, U or F
     "judge": (OfItem, {"to": str | None}, _judge),
-    "settle": (OfItem, {"to": str}, _settle),
-    "new": (NewObject, {}, _new_object),
+    "settle": (OfItem, {"to": str}, _settle),  # Last word where reviewers differ
+    "new": (NewObject, {}, _new_object),  # New object
+    # Objects become one: the first gets the pixels of all
     "merge": (Action, {"objects": list[int]}, lambda a, frame, *_: actions.merge_objects(frame, a.objects, a.reason)),
+    # An object becomes several: one for each mask
     "split": (
         OfObject,
         {"masks": list[str]},
         lambda a, frame, *_: actions.split_object(frame, a.object, a.masks, a.reason),
     ),
+    # State of "a RELATION b", and of its inverse
     "relation": (
         Action,
         {"a": int, "b": int, "relation": str, "to": Literal["T", "U", "F"]},
         lambda a, frame, *_: actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], a.reason),
     ),
+    # New sentence that is true of a pair
     "true": (
         Action,
         {"text": str, "target": str, "relation": str, "reference": str, "a": int, "b": int},
@@ -189,27 +199,33 @@ KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFra
             frame, a.text, (a.target, a.relation, a.reference), a.a, a.b, a.reason
         ),
     ),
+    # Words of an expression
     "text": (
         Action,
         {"expression": str, "to": str},
         lambda a, frame, *_: actions.set_text(frame, a.expression, a.to, a.reason),
     ),
+    # Objects that answer an expression
     "answers": (
         Action,
         {"expression": str, "targets": list[int], "acceptable": (list[int] | None, None)},
         lambda a, frame, *_: actions.set_answers(frame, a.expression, a.targets, a.acceptable, a.reason),
     ),
+    # Several objects are acceptable, or one
     "ambiguous": (
         Action,
         {"expression": str, "to": bool},
         lambda a, frame, *_: actions.set_ambiguous(frame, a.expression, a.to, a.reason),
     ),
+    # Mark on an expression; null takes it back
     "mark": (
         Action,
         {"expression": str, "to": str | None},
         lambda a, frame, *_: actions.set_mark(frame, a.expression, a.to, a.reason),
     ),
+    # Note on the frame; null takes it away
     "note": (Action, {"to": str | None}, lambda a, frame, *_: actions.set_note(frame, a.to, a.reason)),
+    # Any one field, as the journal keeps it
     "value": (Action, {"kind": (Kind, ...), "key": str, "field": str, "to": Any}, _value),
 }
 """Kinds of actions by their `edit`: what they are on, the fields that they have besides, and what makes their edits.

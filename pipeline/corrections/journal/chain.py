@@ -21,7 +21,7 @@ FIRST = "0" * 64
 CONTENT = (
     "id",
     "ulid",
-    "project",
+    "project",  # Whose journal it is, where several share a database
     "author",
     "time",
     "kind",

@@ -62,20 +62,20 @@ class Event:
     """Edit as saved in the journal."""
 
     id: int  # ascending in the order of saving
-    ulid: str
-    author: str
+    ulid: str  # The same for all copies of the journal, sorted by time
+    author: str  # Who made it
     time: datetime  # UTC
     ref: FieldRef
-    before: Any
-    after: Any
+    before: Any  # Value that the person saw
+    after: Any  # Value from then on
     base: int  # version before; `version` is after
-    version: int
+    version: int  # Of the field, after
     labels: str  # see `labels_version`
-    reason: str
+    reason: str  # As the person gave it
     group: str  # one an action
-    action: Action
+    action: Action  # edit, undo or redo
     undo_of: str | None  # ULID of the event taken back, of an undo for a redo
-    anchor: dict[str, list[float]]
+    anchor: dict[str, list[float]]  # 2D boxes of the automatic objects concerned, by number: numbers may move
 
 
 @dataclass(frozen=True)

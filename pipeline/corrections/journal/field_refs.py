@@ -38,10 +38,10 @@ class FieldRef:
     [author, kind, a, b, what] (see `corrections.journal.replay`).
     """
 
-    kind: Kind
-    frame: str
-    key: str
-    field: str
+    kind: Kind  # object, relation, expression, frame or review
+    frame: str  # Id of the frame
+    key: str  # Number of an object, "a,b" of a relation, id of an expression, empty for a frame
+    field: str  # What was changed of it
 
     def __post_init__(self) -> None:
         # A frame has thousands of cells, of which each is named again and again.

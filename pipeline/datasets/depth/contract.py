@@ -75,7 +75,9 @@ class DepthContract(ContractTable):
     """The whole of the file."""
 
     input: DepthInput = DepthInput()
+    """How the picture is given to the network."""
     output: DepthOutput
+    """What its outputs hold, and how they become metres."""
     recognised_by: tuple[str, ...] = ()
     """Outputs that tell a file of this network from all others; none where others have the same."""
 

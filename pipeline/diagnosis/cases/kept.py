@@ -50,12 +50,8 @@ class KeptAnswer(BaseModel, extra="forbid"):
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
     refused: str | None = None
-<<<<<<< HEAD
     why: str | None = None
     """The refusal without its advice; as `refused` where none is kept."""
-=======
-    what: str | None = None  # First words of a longer reason: all that notes of words left out have
->>>>>>> deb08a61cbf7ba92aba3712345deaf1af62710fc
 
 
 class KeptProposals(BaseModel, extra="forbid"):
@@ -88,11 +84,7 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
         try:
             found = detector.detect(frame, [name])
         except InputError as error:
-<<<<<<< HEAD
             asked[name] = {"refused": str(error), "why": error.what}
-=======
-            asked[name] = {"refused": str(error), **({} if error.what == str(error) else {"what": error.what})}
->>>>>>> deb08a61cbf7ba92aba3712345deaf1af62710fc
             continue
         given = keep(found)
         # The same detector twice would keep what has no identity twice.
@@ -133,15 +125,9 @@ class KeptDetector:
                     f"the case has no detections of {name!r}", expected=", ".join(self.kept.asked), path=self.path
                 )
             if answer.refused is not None and labels is not None:
-<<<<<<< HEAD
                 refusal = UnknownClass(answer.refused)
                 refusal.what = answer.why or answer.refused
                 raise refusal
-=======
-                error = UnknownClass(answer.refused)
-                error.what = answer.what or error.what
-                raise error
->>>>>>> deb08a61cbf7ba92aba3712345deaf1af62710fc
             index += answer.unfiltered if self.everything else answer.given
         rows = self.kept.frames.get(frame.id)
         if rows is None:

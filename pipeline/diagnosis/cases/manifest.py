@@ -48,36 +48,37 @@ class DetectorRecord(_Strict):
     The fingerprint is hashed: it may hold a path of somebody's machine.
     """
 
-    name: str
-    exact: bool
-    vocabulary: tuple[str, ...] | None
-    fingerprint_sha256: str
+    name: str  # As on the command line
+    exact: bool  # Its detections are the truth
+    vocabulary: tuple[str, ...] | None  # Names that it is limited to; null for any
+    fingerprint_sha256: str  # Hash of what identifies it
 
 
 class ScorerRecord(_Strict):
     """Scorer of the relations: the rule, the shipped network, a file, or another pipeline."""
 
+    # rule, the network that comes with the program, a file, or another pipeline
     kind: Literal["rule", "trained", "file", "imported"]
-    name: str
-    file: str | None = None
-    sha256: str | None = None
-    in_case: bool = False
+    name: str  # Of the scorer
+    file: str | None = None  # Its file
+    sha256: str | None = None  # Of the file
+    in_case: bool = False  # The file is in the case
 
 
 class ShownRankingRecord(_Strict):
     """`FittedRanking` as JSON."""
 
-    weights: tuple[FiniteFloat, ...]
-    unit: FiniteFloat
-    scale: Scale = "values"
+    weights: tuple[FiniteFloat, ...]  # Of the factors
+    unit: FiniteFloat  # Of scores
+    scale: Scale = "values"  # What scores are compared as
 
 
 class ShownRecord(_Strict):
     """Findings from a whole file of predictions."""
 
-    level: int
-    true_scores: tuple[FiniteFloat, FiniteFloat]
-    ranking: ShownRankingRecord | None = None
+    level: int  # Of the predictions: 0 to 3
+    true_scores: tuple[FiniteFloat, FiniteFloat]  # Scores of what is right: of targets, of references
+    ranking: ShownRankingRecord | None = None  # What stands in for the ranking
     # The scorer's fit by relation; None where the file names its scorer
     relations: dict[str, tuple[FiniteFloat, ...] | None] | None = None
 
@@ -155,29 +156,29 @@ class ExpectedRecord(BaseModel):
 class CaseManifest(_Strict):
     """`spatialviz-case.json`."""
 
-    format: Literal["spatialviz-case-1"] = CASE_FORMAT
-    name: str
-    tool: str
-    created: str
-    files: dict[File, str]
-    text: str
+    format: Literal["spatialviz-case-1"] = CASE_FORMAT  # Of the case
+    name: str  # Of the case
+    tool: str  # Program that wrote it, with its version
+    created: str  # Time, UTC
+    files: dict[File, str]  # SHA-256 of each file
+    text: str  # The expression
     reading: Query | None = None
     """How the text was read, where it was not by the grammar."""
-    frame: SavedFrame
-    dataset: dict[str, str]
-    class_names: tuple[str, ...]
-    synonyms: Synonyms | None
-    detector: DetectorRecord
-    scorer: ScorerRecord
+    frame: SavedFrame  # The frame without its pixels
+    dataset: dict[str, str]  # Where the frame is from
+    class_names: tuple[str, ...]  # Annotated classes of the dataset
+    synonyms: Synonyms | None  # Names that mean the same
+    detector: DetectorRecord  # What found the objects
+    scorer: ScorerRecord  # What scored the relations
     shown: ShownRecord | None = None
     """Of a case of another pipeline."""
-    config: Config
-    truth: dict[str, Any] | None
+    config: Config  # Settings of the answer
+    truth: dict[str, Any] | None  # What is true; null where it is not known
     unseen: Unseen | None = None
     """What the frame does not show and the object map of its scene does."""
-    edits: dict[str, Any] | None
-    run: dict[str, Any]
-    expected: dict[str, Any]
+    edits: dict[str, Any] | None  # Edits of a what-if
+    run: dict[str, Any]  # Run and expression that it was saved from
+    expected: dict[str, Any]  # The answer as it was, to compare with
 
 
 def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[CaseManifest, ExpectedRecord]:
@@ -202,34 +203,34 @@ def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Mo
 class TrueObject(_Strict):
     """Labelled object; geometry in the frames of the labels, metres, null where unknown."""
 
-    number: int
-    label: str
-    bbox: Four
-    mask: str | None = None
-    lo: Three | None
-    hi: Three | None
-    center: Three | None
-    R: tuple[FiniteFloat, ...] | None
-    size: Three | None
-    distance: FiniteFloat | None
-    occluded: FiniteFloat | None
-    mask_pixels: FiniteFloat | None
+    number: int  # In the labels
+    label: str  # Class name
+    bbox: Four  # x0, y0, x1, y1, pixels
+    mask: str | None = None  # COCO's run-length code
+    lo: Three | None  # Least right, up and forward of the points, viewer's axes
+    hi: Three | None  # Greatest right, up and forward
+    center: Three | None  # Of the 3D box, camera frame
+    R: tuple[FiniteFloat, ...] | None  # Row by row
+    size: Three | None  # Full edge lengths
+    distance: FiniteFloat | None  # Median depth of the points
+    occluded: FiniteFloat | None  # Share of the mask's border beside which something is nearer
+    mask_pixels: FiniteFloat | None  # How many
 
 
 class SavedExpression(_Strict):
     """Expression with its truth: a `Case` with lists for arrays, and null for a margin that is not known."""
 
-    id: str
-    text: str
-    target: str
-    relation: str
-    reference: str
-    target_object: int
-    reference_object: int
-    strict: tuple[int, ...]
-    acceptable: tuple[int, ...]
-    ambiguous: bool
-    margin: FiniteFloat | None
+    id: str  # In the labels
+    text: str  # The sentence
+    target: str  # Class name of what is asked for
+    relation: str  # Relation that is asked
+    reference: str  # Class name of what it stands in relation to
+    target_object: int  # Place in `objects` of what was meant
+    reference_object: int  # Place of its reference
+    strict: tuple[int, ...]  # Places of what answers beyond doubt
+    acceptable: tuple[int, ...]  # Places of what is acceptable
+    ambiguous: bool  # More than one is acceptable
+    margin: FiniteFloat | None  # Of the pair that was meant, metres
 
     @staticmethod
     def of(case: Case) -> dict[str, Any]:
@@ -250,15 +251,15 @@ class TruthRecord(_Strict):
     `expression` is null where the truth of a sentence is worked out from the objects and their relations.
     """
 
-    frame_index: int
-    scene: str
-    objects: tuple[TrueObject, ...]
-    alike: tuple[str, ...]
-    judged: tuple[str, ...]
-    states: dict[str, tuple[str, ...]]
-    expression: SavedExpression | None
-    mark: Literal["BAD_LABEL", "BAD_BOX"] | None = None
-    confidence: FiniteFloat | None = None
+    frame_index: int  # Of the frame in the dataset
+    scene: str  # Place whose frames share a world
+    objects: tuple[TrueObject, ...]  # All labelled objects of the frame
+    alike: tuple[str, ...]  # Rows of 0 and 1: b is of a's class
+    judged: tuple[str, ...]  # Rows of 0 and 1: the pair is judged
+    states: dict[str, tuple[str, ...]]  # By relation, rows of letters
+    expression: SavedExpression | None  # The expression with its right answers
+    mark: Literal["BAD_LABEL", "BAD_BOX"] | None = None  # What a person found wrong with it
+    confidence: FiniteFloat | None = None  # Score of an object that the detector missed
 
 
 def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: float | None) -> dict[str, Any]:

@@ -212,17 +212,12 @@ def _write_whole(folder: Path, files: dict[str, bytes], pipeline: Pipeline, reco
 
 
 def _proposals(pipeline: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
-<<<<<<< HEAD
-    # A detector of its own names only is asked for the noun of "blue book".
-    asked = () if now.trace is None else now.trace.query.asked
-    names = [label if phrase is None else phrase for label, phrase in asked]
-=======
     query = None if now.trace is None else now.trace.query
-    names: list[str] = [] if query is None else list(query.labels)
+    # A detector of its own names only is asked for the noun of "blue book".
+    names = [] if query is None else [label if phrase is None else phrase for label, phrase in query.asked]
     if query is not None and query.unused:
         # What the detector refused was left out of the question, and is refused again where it is replayed.
         names += pipeline.read(query.text).labels
->>>>>>> deb08a61cbf7ba92aba3712345deaf1af62710fc
     case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
         names += filter(None, (case.target, case.reference))

@@ -146,9 +146,9 @@ CHECKS = {"rank": checked_rank, "profile": checked_profile, "lift": checked_lift
 class PlacedBox:
     """3D box as plain numbers, camera frame, metres; `R` row by row."""
 
-    center: Axis
-    R: tuple[Axis, Axis, Axis]
-    size: tuple[Length, Length, Length]
+    center: Axis  # Camera frame, metres
+    R: tuple[Axis, Axis, Axis]  # Three rows; the columns are the box's axes
+    size: tuple[Length, Length, Length]  # Full edge lengths along those, metres
 
     def __post_init__(self) -> None:
         self.box()
@@ -181,28 +181,28 @@ _Mask = Annotated[RunLength, AfterValidator(_of_a_picture)]
 class AddedObject:
     """Object as if found: by which name, with which score, and its pixels."""
 
-    name: Key
-    p: Share
-    mask: _Mask
+    name: Key  # As it is asked in the expression
+    p: Share  # P(object | name)
+    mask: _Mask  # Its pixels
 
 
 @dataclass(frozen=True)
 class _Confidence:
     """P(object | name), as in a file."""
 
-    name: Key
-    object: Key
-    p: Share
+    name: Key  # As it is asked in the expression
+    object: Key  # Key of the object
+    p: Share  # 0..1
 
 
 @dataclass(frozen=True)
 class _Relation:
     """P("a RELATION b"), as in a file."""
 
-    relation: Key
-    a: Key
-    b: Key
-    p: Share
+    relation: Key  # Its name
+    a: Key  # Key of the object that it is said of
+    b: Key  # Key of its reference
+    p: Share  # 0..1
 
     def __post_init__(self) -> None:
         require(self.a != self.b, "a relation is between two objects", got=f"{self.a} twice")
@@ -229,23 +229,27 @@ class Edits:
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    format: Literal["spatialviz-edits-1"] = FORMAT
-    # mapping of key to PlacedBox
+    format: Literal["spatialviz-edits-1"] = FORMAT  # Of the file
+    # 3D boxes by the object's key
     boxes: Annotated[Mapping[Key, PlacedBox], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
-    # mapping of key to RunLength
+    # Pixels by the object's key
     masks: Annotated[Mapping[Key, _Mask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
+    # Keys of objects, as if the detector had not found them
     hidden: Annotated[frozenset[Key], Field(max_length=MOST_EDITS)] = frozenset()
-    # mapping of a new key to AddedObject
+    # Objects by new keys, as if the detector had found them
     added: Annotated[Mapping[Key, AddedObject], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
-    # mapping of (name, key) to float: 0..1; the name as it is asked in the expression
+    # P(object | name) by name and key, 0..1; the name as it is asked in the expression
     confidences: _Confidences = field(default_factory=dict)
-    relations: _Relations = field(default_factory=dict)  # mapping of (relation, key of a, key of b) to float: 0..1
-    k: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    min_score: Share | None = None
-    # rank, profile, lift: mapping of field name to value
+    relations: _Relations = field(default_factory=dict)  # P by relation, key of a, key of b; 0..1
+    k: Annotated[int, Field(ge=1, le=100_000)] | None = None  # Proposals that go on for each name
+    min_score: Share | None = None  # Drop detections below this score
+    # Settings of the ranking by name: fields of RankConfig
     rank: Annotated[Mapping[str, Any], AfterValidator(checked_rank)] = field(default_factory=dict)
+    # Thresholds of the rules by name: fields of Profile
     profile: Annotated[Mapping[str, Any], AfterValidator(checked_profile)] = field(default_factory=dict)
+    # Settings of the lifting by name: fields of LiftConfig
     lift: Annotated[Mapping[str, Any], AfterValidator(checked_lift)] = field(default_factory=dict)
+    # What scores relations: rule, trained, or an ONNX file
     scorer: Annotated[str, Field(min_length=1, max_length=4096)] | None = None
 
     def __bool__(self) -> bool:

@@ -37,9 +37,9 @@ Toggle = bool | int | float | Text
 class CameraView:
     """Camera of the page, in the frame's camera frame, metres; `up` is a direction."""
 
-    position: Vector
-    look_at: Vector
-    up: Vector
+    position: Vector  # Metres
+    look_at: Vector  # Point that is looked at, metres
+    up: Vector  # Direction
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ class ViewState:
 
     dataset: Text  # Its name on the page
     frame: Text  # Frame id
-    expression: Text = ""
+    expression: Text = ""  # Question as it was typed
     # Keys of the selected objects (`pipeline.diagnosis.whatif.pair_tables`)
     selection: Annotated[tuple[Text, ...], Field(max_length=2000)] = ()
     pair: tuple[Text, Text] | None = None  # Keys of the pair that is shown; None for the winner
-    camera: CameraView | None = None
+    camera: CameraView | None = None  # Where the scene is seen from
     # What is shown and how
     toggles: Annotated[Mapping[Text, Toggle], Field(max_length=200)] = field(default_factory=dict)
-    edits: Edits = field(default_factory=Edits)
+    edits: Edits = field(default_factory=Edits)  # Edits of a what-if
     run: Text | None = None  # Folder of the evaluation run that the expression is of
     expression_id: Text | None = None  # In that run
     colors: Text | None = None  # What the points are coloured by

@@ -111,7 +111,14 @@ def words(text: str) -> str:
 
 @dataclass(frozen=True)
 class PredictionFormat:
-    """A published format of predictions."""
+    """A published format of predictions.
+
+    >>> def read(published: Published) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    ...     lines = [line.split(";") for line in published.path.read_text().splitlines()]
+    ...     return {"system": "mine"}, [{"frame": frame, "text": text, "answer": None} for frame, text in lines]
+    >>> PredictionFormat(read, lambda content: False, "frame; question", level=0).level
+    0
+    """
 
     # read: the header and the lines of a file, also as the dicts that `docs/predictions.md` describes
     read: Callable[[Published], tuple[Header | dict[str, Any], Iterable[Prediction | dict[str, Any]]]]
