@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -107,7 +108,9 @@ class Page:
 
     def _command(self, command: Command, block: Block) -> tuple[Any, ...]:
         files = self.folder / "log"
-        text = re.sub(r"\b(" + "|".join(command_world.WORDS) + r")\b", lambda m: command_world.WORDS[m[1]], command.text)
+        text = re.sub(
+            r"\b(" + "|".join(command_world.WORDS) + r")\b", lambda m: command_world.WORDS[m[1]], command.text
+        )
         words = Command(command.line, text, command.comment).words
         own = words is not None and words[:1] == ["spatialviz"]
         if block.not_run:
@@ -173,20 +176,24 @@ def _follow(page: Path, world: Path, folder: Path) -> None:
     command_runs.home_of(folder).joinpath("outcomes").write_bytes(pickle.dumps(outcomes))
 
 
-def _forked(tasks: list[tuple[Any, ...]]) -> None:
-    """Call each of (function, arguments...) in a process of its own, as many at once as there are cores."""
-    fork, left, running = multiprocessing.get_context("fork"), list(tasks), {}
+def _forked(tasks: list[tuple[Any, ...]]) -> Iterator[int]:
+    """Call each of (function, arguments...) in a process of its own, as many at once as there are cores.
+
+    Gives the places of those that have ended.
+    """
+    fork, left, running = multiprocessing.get_context("fork"), list(enumerate(tasks)), {}
     while left or running:
         while left and len(running) < len(os.sched_getaffinity(0)):
-            task, *arguments = left.pop(0)
+            place, (task, *arguments) = left.pop(0)
             process = fork.Process(target=task, args=arguments)
             process.start()
-            running[process.sentinel] = process
+            running[process.sentinel] = process, place
         for sentinel in wait(list(running)):
-            process = running.pop(sentinel)  # pyright: ignore[reportArgumentType]
+            process, place = running.pop(sentinel)  # pyright: ignore[reportArgumentType]
             process.join()
             if process.exitcode:
                 raise SystemExit(f"it ends with status {process.exitcode}")
+            yield place
 
 
 def main() -> int:
@@ -201,15 +208,19 @@ def main() -> int:
     command_runs.load_program()
     with tempfile.TemporaryDirectory(prefix="documents-") as work:
         world = Path(work, "world")
-        _forked([(command_world.make_world, world)])
+        list(_forked([(command_world.make_world, world)]))
         folders = [Path(work, "pages", *page.relative_to(ROOT).with_suffix("").parts) for page in pages]
-        _forked([(_follow, page, world, folder) for page, folder in zip(pages, folders, strict=True)])
-        followed = [pickle.loads(command_runs.home_of(folder).joinpath("outcomes").read_bytes()) for folder in folders]
-    outcomes = [outcome for page in followed for outcome in page]
-    _print(outcomes, options.v)
+        outcomes: list[Outcome] = []
+        for place in _forked([(_follow, page, world, folder) for page, folder in zip(pages, folders, strict=True)]):
+            own = pickle.loads(command_runs.home_of(folders[place]).joinpath("outcomes").read_bytes())
+            _print_each(own, options.v)
+            outcomes += own
+    _print_table(outcomes)
     changed = "" if _checkout() == before else "the checkout was changed: see git status"
     failed = sum(bool(outcome.wrong) for outcome in outcomes)
-    print(f"{len(pages)} pages, {len(outcomes)} commands and snippets, {failed} failed, {time.monotonic() - begun:.0f} s")
+    print(
+        f"{len(pages)} pages, {len(outcomes)} commands and snippets, {failed} failed, {time.monotonic() - begun:.0f} s"
+    )
     print(*[changed] if changed else [], sep="\n", end="")
     return int(bool(failed or changed))
 
@@ -218,16 +229,20 @@ def _checkout() -> str:
     return subprocess.run(["git", "-C", str(ROOT), "status", "--porcelain"], capture_output=True, text=True).stdout
 
 
-def _print(outcomes: list[Outcome], every: bool) -> None:
-    """A row a page; with `every` a line a command; what is wrong in any case."""
+def _print_each(outcomes: list[Outcome], every: bool) -> None:
+    """What is wrong; with `every` a line for each command, and what those printed that failed."""
     for o in outcomes:
         if every or o.wrong:
             mark = f"FAILED {o.wrong}" if o.wrong else f"not run: {o.not_run}" if o.not_run else f"{o.seconds:.1f} s"
-            print(f"{o.page}:{o.line}: {o.text.splitlines()[0]}  [{mark}]")
+            print(f"{o.page}:{o.line}: {o.text.splitlines()[0]}  [{mark}]", flush=True)
         if every and o.wrong and o.ran:
-            print(*(f"    {line}" for line in (o.ran.out + o.ran.err).splitlines()[-12:]), sep="\n")
+            print(*(f"    {line}" for line in (o.ran.out + o.ran.err).splitlines()[-12:]), sep="\n", flush=True)
+
+
+def _print_table(outcomes: list[Outcome]) -> None:
+    """A row for each page."""
     print(f"{'page':34} {'run':>4} {'not':>4} {'failed':>6}   not run, by reason")
-    for page in dict.fromkeys(o.page for o in outcomes):
+    for page in sorted({o.page for o in outcomes}):
         own = [o for o in outcomes if o.page == page]
         reasons = Counter(o.not_run for o in own if o.not_run)
         told = ", ".join(f"{reason} {count}" for reason, count in sorted(reasons.items()))

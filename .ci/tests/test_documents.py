@@ -45,7 +45,7 @@ def test_the_readme_lists_every_document() -> None:
 
 
 def test_what_was_measured_has_its_data_its_date_and_who_made_it() -> None:
-    section = (ROOT / "docs" / "limits.md").read_text().partition("\n## What was measured\n")[2].partition("\n## ")[0]
+    section = (ROOT / "docs" / "measured.md").read_text().partition("\n## At a glance\n")[2].partition("\n## ")[0]
     rows = [[c.strip() for c in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| ")]
     head, *claims = rows
     assert head == ["what", "figure", "data", "measured", "knew the judge"]
