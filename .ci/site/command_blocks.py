@@ -10,19 +10,7 @@ from pathlib import Path
 
 SHELL = ("sh", "bash", "console")
 LANGUAGES = (*SHELL, "python", "toml", "json", "yaml")
-REASONS = (
-    "network",
-    "docker",
-    "gpu",
-    "cluster",
-    "database",
-    "installation",
-    "model",
-    "data",
-    "checkout",
-    "long",
-    "yours",
-)
+REASONS = "network docker gpu cluster database installation model data checkout long yours".split()
 """Why a block may stand without being run: what it needs and no check has. `installation` changes the environment,
 `model` and `data` are files that others publish, `checkout` is done in a checkout of the source, `long` takes minutes,
 `yours` is a part of the reader's own program."""

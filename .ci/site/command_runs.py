@@ -184,7 +184,8 @@ def agents_server(words: list[str], files: Path) -> Ran:
     with subprocess.Popen(
         [sys.executable, "-m", "spatialviz", *words], stdin=-1, stdout=-1, stderr=-1, text=True, process_group=0
     ) as server:
-        assert server.stdin is not None and server.stdout is not None
+        assert server.stdin
+        assert server.stdout
         server.stdin.write(asked)
         server.stdin.flush()
         ready, _, _ = select.select([server.stdout], [], [], LONGEST_S)

@@ -24,6 +24,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
@@ -108,9 +109,8 @@ class Page:
 
     def _command(self, command: Command, block: Block) -> tuple[Any, ...]:
         files = self.folder / "log"
-        text = re.sub(
-            r"\b(" + "|".join(command_world.WORDS) + r")\b", lambda m: command_world.WORDS[m[1]], command.text
-        )
+        named = rf"\b({'|'.join(command_world.WORDS)})\b"
+        text = re.sub(named, lambda found: command_world.WORDS[found[1]], command.text)
         words = Command(command.line, text, command.comment).words
         own = words is not None and words[:1] == ["spatialviz"]
         if block.not_run:
@@ -125,7 +125,7 @@ class Page:
             return ran, _wrong(ran, command, ())
         words = self._whole(words[1:])
         verb = words[0] if words else "view"
-        written = [w for before, w in zip(words, words[1:], strict=False) if before in WRITTEN]
+        written = [w for before, w in pairwise(words) if before in WRITTEN]
         written += words[1:2] if verb == "render" else words[-1:] if "--mesh" in words else []
         self._provide(words, written)
         for head in (verb,), tuple(words[:2]):
@@ -218,9 +218,8 @@ def main() -> int:
     _print_table(outcomes)
     changed = "" if _checkout() == before else "the checkout was changed: see git status"
     failed = sum(bool(outcome.wrong) for outcome in outcomes)
-    print(
-        f"{len(pages)} pages, {len(outcomes)} commands and snippets, {failed} failed, {time.monotonic() - begun:.0f} s"
-    )
+    seconds = time.monotonic() - begun
+    print(f"{len(pages)} pages, {len(outcomes)} commands and snippets, {failed} failed, {seconds:.0f} s")
     print(*[changed] if changed else [], sep="\n", end="")
     return int(bool(failed or changed))
 
