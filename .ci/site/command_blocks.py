@@ -10,10 +10,20 @@ from pathlib import Path
 
 SHELL = ("sh", "bash", "console")
 LANGUAGES = (*SHELL, "python", "toml", "json", "yaml")
-REASONS = "network docker gpu cluster database installation model data checkout long yours".split()
-"""Why a block may stand without being run: what it needs and no check has. `installation` changes the environment,
-`model` and `data` are files that others publish, `checkout` is done in a checkout of the source, `long` takes minutes,
-`yours` is a part of the reader's own program."""
+REASONS = {
+    "network": "a server or a store elsewhere",
+    "docker": "a container",
+    "gpu": "a graphics card",
+    "cluster": "Ray or SLURM",
+    "database": "PostgreSQL",
+    "installation": "changes the environment",
+    "model": "weights that others publish",
+    "data": "files that others publish",
+    "checkout": "is done in a checkout of the source",
+    "long": "takes minutes",
+    "yours": "a part of the reader's own program",
+}
+"""Why a block may stand without being run."""
 NOT_RUN = re.compile(r"<!-- not run: (.*?) -->")
 
 

@@ -15,6 +15,8 @@ DOCUMENTS = [*(ROOT / "docs").glob("*.md"), ROOT / ".github" / "CONTRIBUTING.md"
 
 def test_files_that_documents_name_are_there() -> None:
     named = [(d.name, f) for d in DOCUMENTS for f in re.findall(r"`((?:\.?\w[\w.-]*/)+[\w-]+\.py)`", d.read_text())]
+    architecture = (ROOT / "docs" / "architecture.md").read_text()
+    named += [("architecture.md", f) for f in re.findall(r"`((?:\w+/)+\w+\.json)`", architecture)]
     assert len(named) > 30
     roots = (ROOT, ROOT / "pipeline")
     assert [(d, f) for d, f in named if not any((root / f).exists() for root in roots)] == []
