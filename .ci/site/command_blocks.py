@@ -17,6 +17,7 @@ REASONS = {
     "cluster": "Ray or SLURM",
     "database": "PostgreSQL",
     "installation": "changes the environment",
+    "extra": "an extra that is not installed for checks, such as open3d",
     "model": "weights that others publish",
     "data": "files that others publish",
     "checkout": "is done in a checkout of the source",

@@ -65,7 +65,7 @@ def _files() -> None:
         Path(name).mkdir(parents=True)
     shutil.copy(ROOT / "docs" / "bench.json", "docs")
     dataset = open_dataset("DATASET")
-    for k, frame_id in enumerate(dataset.frame_ids[:3]):
+    for k, frame_id in zip((0, 1, 12), dataset.frame_ids, strict=False):
         frame = dataset.load(frame_id)
         picture = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
         cv2.imwrite(f"recording/color/{k:06d}.png", picture)
@@ -88,6 +88,8 @@ def _networks(frame: Any) -> None:
     from model_stubs import change
     from onnx_stubs import write_stub
 
+    from pipeline.datasets.depth.contract import CONTRACTS
+
     height, width = frame.depth.shape
     seen = [a for a in frame.annotations if a.mask is not None]
     names = sorted({a.label for a in seen} | {"cup", "chair"})
@@ -109,17 +111,22 @@ def _networks(frame: Any) -> None:
     boxes[:, 4:] = 0.9
     write_stub(Path("mine.onnx"), inputs, {"output0": boxes.transpose(0, 2, 1)})
     write_network(Path("moge.onnx"), "moge-2")
+    write_network(Path("own.onnx"), "depth-anything-v2-metric-indoor")
+    shutil.copy(CONTRACTS / "depth-anything-v2-metric-indoor.toml", "own.toml")
 
 
-def python_names() -> dict[str, Any]:
+def python_names(world: Path) -> dict[str, Any]:
     """What stands in the snippets for the reader's own: arrays of his detector, ids, questions, edits."""
     import spatialviz as sp
     from pipeline.diagnosis import Edits
 
+    asked = sp.open_labels(world / "LABELS").expressions.to_pylist()
+    about = ("mug", "left", "laptop")
+    questions = [(e["frame"], e["text"]) for e in asked if (e["target"], e["relation"], e["reference"]) == about]
     boxes, scores = np.array([[290.0, 180, 330, 230]]), np.array([0.9])
     masks = np.zeros((1, 480, 640), bool)
     masks[0, 180:230, 290:330] = True
-    names: dict[str, Any] = {"sp": sp, "frame": FRAME, "text": QUESTION, "questions": [(FRAME, QUESTION)]}
+    names: dict[str, Any] = {"sp": sp, "frame": FRAME, "text": QUESTION, "questions": questions}
     names |= {"boxes": boxes, "scores": scores, "masks": masks, "my_ids": [7]}
     names |= {"other_boxes": boxes + 100, "other_scores": scores, "edits": Edits(k=5)}
     return names | {"c": np.array([0.1, 0.2, 1.4]), "s": np.array([0.08, 0.1, 0.08]), "R": np.eye(3)}

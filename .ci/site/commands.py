@@ -35,10 +35,11 @@ from command_blocks import LANGUAGES, SHELL, Block, Command, blocks_of, commands
 from command_data import wrong_with
 from command_runs import ROOT, Ran
 
-NO_IS_AN_ANSWER = ("ask", "check", "doctor")
+NO_IS_AN_ANSWER = ("ask", "check", "doctor", "failures")
 """Commands whose exit status 1 says something of the data, which are not the reader's here."""
 SHORTER = {
     ("bench",): "--quick --only start.help",
+    ("render",): "--width 160 --height 120",
     ("retrain",): "--epochs 1",
     ("train",): "--epochs 1",
     ("train", "rooms"): "--rooms 10 --views 1 --width 160 --height 120 --members 1",
@@ -103,7 +104,7 @@ class Page:
             return None, "", block.not_run
         written = re.findall(r'import_\w+\([^)]*"(\w+)"\)', block.text)
         self._provide(re.findall(r"[\"']([\w./-]+)[\"']", block.text), written)
-        self.python = self.python or command_runs.Interpreter(command_world.python_names)
+        self.python = self.python or command_runs.Interpreter(lambda: command_world.python_names(self.world))
         ran = self.python.run(block.text, f"{self.path.name}:{block.line}")
         return ran, ran.wrong or (ran.err.splitlines()[-1] if ran.status else "")
 
@@ -158,9 +159,11 @@ class Page:
             if head.isupper() and (self.folder / head).exists():
                 shutil.rmtree(head, ignore_errors=True)
         for head in sorted(heads - made - {"", ".", ".."}):
-            source, copy = self.world / head, self.folder / head
-            if source.exists() and not copy.exists():
-                (shutil.copytree if source.is_dir() else shutil.copy)(source, copy)
+            # Beside a network stands the TOML file that describes it.
+            for source in (self.world / head, *([(self.world / head).with_suffix(".toml")] * head.endswith(".onnx"))):
+                copy = self.folder / source.name
+                if source.exists() and not copy.exists():
+                    (shutil.copytree if source.is_dir() else shutil.copy)(source, copy)
 
 
 def _wrong(ran: Ran, command: Command, may_say_no: tuple[str, ...], verb: str = "") -> str:
