@@ -35,7 +35,7 @@ from command_blocks import LANGUAGES, SHELL, Block, Command, blocks_of, commands
 from command_data import wrong_with
 from command_runs import ROOT, Ran
 
-NO_IS_AN_ANSWER = ("ask", "check", "doctor", "failures")
+NO_IS_AN_ANSWER = ("ask", "bench", "check", "doctor", "failures")
 """Commands whose exit status 1 says something of the data, which are not the reader's here."""
 SHORTER = {
     ("bench",): "--quick --only start.help",

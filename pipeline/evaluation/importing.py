@@ -311,7 +311,7 @@ def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
 
 
 def _ids(objects: Sequence[SceneObject], above: int) -> list[int]:
-    """The detector's ids, where it has any; of a detection with a 3D box for each of two names, another for the second."""
+    """Ids of the detector, where it has any; of a detection whose second name gives another 3D box, two."""
     if any(o.id < 0 for o in objects):
         return list(range(len(objects)))
     free = count(max((above, *(o.id for o in objects))) + 1)
