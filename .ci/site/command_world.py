@@ -38,6 +38,7 @@ def make_world(folder: Path) -> None:
     done = ["label DATASET --out LABELS --sentences", "eval DATASET --labels LABELS --detector simulated --out RUN"]
     done += ["export-run RUN --out predictions.jsonl", "map DATASET --out MAP"]
     done += [f"save-case demo 0 '{QUESTION}' --detector simulated --out cases/wrong"]
+    done += ["correct LABELS --edits SET.json --author ben"]
     for line in done:
         _done(command_runs.command(shlex.split(line), folder / "log"))
     shutil.copy("LABELS/sentences.jsonl", ".")
@@ -79,6 +80,7 @@ def _files() -> None:
     Path("EDITS.json").write_text(json.dumps(edits_record(Edits(k=5))))
     fix = {"edit": "relation", "frame": FRAME, "a": 3, "b": 2, "relation": "above", "to": "T", "reason": "stands on it"}
     Path("FIXES.json").write_text(json.dumps([fix]))
+    Path("SET.json").write_text(json.dumps([{"edit": "class", "frame": FRAME, "object": 14, "to": "lamp"}]))
 
 
 def _networks(frame: Any) -> None:

@@ -129,9 +129,9 @@ class Page:
         written = [w for before, w in pairwise(words) if before in WRITTEN]
         written += words[1:2] if verb == "render" else words[-1:] if "--mesh" in words else []
         self._provide(words, written)
-        for head in (verb,), tuple(words[:2]):
-            more = shlex.split(SHORTER.get(head, ""))
-            words += more if not set(more) & set(words) else []
+        for head in dict.fromkeys(((verb,), tuple(words[:2]))):
+            for option in re.findall(r"--\S+(?: [^-]\S*)*", SHORTER.get(head, "")):
+                words += shlex.split(option) if option.split()[0] not in words else []
         if verb in ("view", "mcp") and "--help" not in words:
             ran = (command_runs.page_server if verb == "view" else command_runs.agents_server)(words, files)
         else:
