@@ -14,7 +14,7 @@ import time
 import traceback
 import urllib.request
 from collections.abc import Callable, Mapping
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing import Pipe, get_context
@@ -87,6 +87,8 @@ def enter(folder: Path) -> None:
 
 def started(work: Callable[[], object], files: Path) -> int:
     """Begin work in a fork whose output goes to `files` with .out and .err; its process id."""
+    for end in (".out", ".err"):
+        Path(f"{files}{end}").write_bytes(b"")
     sys.stdout.flush()
     sys.stderr.flush()
     process = os.fork()
@@ -96,7 +98,7 @@ def started(work: Callable[[], object], files: Path) -> int:
     try:
         os.setpgid(0, 0)
         for number, target in enumerate((os.devnull, f"{files}.out", f"{files}.err")):
-            os.dup2(os.open(target, os.O_RDWR | os.O_CREAT | (os.O_TRUNC if number else 0), 0o600), number)
+            os.dup2(os.open(target, os.O_RDWR), number)
         status = work()
     except SystemExit as left:
         status = left.code
@@ -167,7 +169,7 @@ def page_server(words: list[str], files: Path) -> Ran:
         if os.waitid(os.P_PID, process, os.WEXITED | os.WNOHANG | os.WNOWAIT):
             return ended(process, files)
     if address:
-        with urllib.request.urlopen(address[0], timeout=60) as page:
+        with suppress(OSError), urllib.request.urlopen(address[0], timeout=60) as page:
             status = page.status
     os.kill(process, signal.SIGINT)
     ran = ended(process, files, 60)

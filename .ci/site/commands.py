@@ -90,7 +90,10 @@ class Page:
 
     def _told(self, line: int, text: str, work: Any) -> None:
         begun = time.monotonic()
-        ran, wrong, *reason = work()
+        try:
+            ran, wrong, *reason = work()
+        except Exception as error:
+            ran, wrong, reason = None, repr(error), []
         where = str(self.path.relative_to(ROOT))
         self.outcomes.append(
             Outcome(where, line, text, time.monotonic() - begun, reason[0] if reason else None, wrong, ran)
