@@ -16,6 +16,8 @@ DOCUMENTS = [*(ROOT / "docs").glob("*.md"), ROOT / ".github" / "CONTRIBUTING.md"
 
 def test_files_that_documents_name_are_there() -> None:
     named = [(d.name, f) for d in DOCUMENTS for f in re.findall(r"`((?:\.?\w[\w.-]*/)+[\w-]+\.py)`", d.read_text())]
+    architecture = (ROOT / "docs" / "architecture.md").read_text()
+    named += [("architecture.md", f) for f in re.findall(r"`((?:\w+/)+\w+\.json)`", architecture)]
     assert len(named) > 30
     roots = (ROOT, ROOT / "pipeline")
     assert [(d, f) for d, f in named if not any((root / f).exists() for root in roots)] == []
@@ -47,7 +49,7 @@ def test_the_readme_is_short_and_shows_one_picture() -> None:
 
 
 def test_what_was_measured_has_its_data_its_date_and_who_made_it() -> None:
-    section = (ROOT / "docs" / "limits.md").read_text().partition("\n## What was measured\n")[2].partition("\n## ")[0]
+    section = (ROOT / "docs" / "measured.md").read_text().partition("\n## At a glance\n")[2].partition("\n## ")[0]
     rows = [[c.strip() for c in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| ")]
     head, *claims = rows
     assert head == ["what", "figure", "data", "measured", "knew the judge"]

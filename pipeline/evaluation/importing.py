@@ -7,9 +7,9 @@ import re
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.answering.batch import FrameAnswers
 from pipeline.answering.coordinate_conventions import box_2d, check_places
 from pipeline.answering.imported import ImportedPipeline, open_imported
-from pipeline.answering.objects import prepare_frame
+from pipeline.answering.objects import SceneObject, prepare_frame
 from pipeline.answering.pair_rules import outranked
 from pipeline.answering.predictions import (
     Header,
@@ -300,10 +300,9 @@ def _exported(run: Run) -> Iterator[Prediction]:
 def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
     """The lines of one frame; masks stand at the first mention of an object."""
     frame = answers.context.frame
-    known = [o.id for o in answers.objects]
-    ids = known if min(known, default=0) >= 0 else list(range(len(known)))
+    dropped = {name: tuple(_dropped(answers, name, len(answers.objects))) for name in answers.candidates}
+    ids = _ids(answers.objects, max((p.id for found in dropped.values() for p in found), default=0))
     told: set[int] = set()
-    dropped = {name: tuple(_dropped(answers, name, max(ids, default=0) + 1)) for name in answers.candidates}
     for case in truth.cases:
         proposals = {}
         for name in dict.fromkeys((case.target, case.reference)):
@@ -339,6 +338,19 @@ def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
             unknown={n: answers.unknown[n] for n in (case.target, case.reference) if n in answers.unknown} or None,
             boxes_3d={ids[k]: _given_box(answers.objects[k].box) for k in used},
         )
+
+
+def _ids(objects: Sequence[SceneObject], above: int) -> list[int]:
+    """Ids of the detector, where it has any; of a detection whose second name gives another 3D box, two."""
+    if any(o.id < 0 for o in objects):
+        return list(range(len(objects)))
+    free = count(max((above, *(o.id for o in objects))) + 1)
+    boxes: dict[int, PredictedBox | None] = {}
+    ids = []
+    for o in objects:
+        box = _given_box(o.box)
+        ids.append(o.id if boxes.setdefault(o.id, box) == box else next(free))
+    return ids
 
 
 def _given_box(box: Box3D | None) -> PredictedBox | None:

@@ -71,6 +71,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_a_detection_with_a_box_for_each_of_two_names_comes_back(folder: Path) -> None:
+    spec = EvalSpec("demo", str(folder / "labels"), {"detector": "simulated", "srm": "rule"})
+    evaluate_dataset(spec, folder / "simulated", plots=False)
+    export_run(open_run(folder / "simulated"), folder / "simulated.jsonl")
+    import_run(folder / "simulated.jsonl", "demo", folder / "labels", folder / "simulated again", plots=False)
+    before, after = (rows(open_run(folder / name)) for name in ("simulated", "simulated again"))
+    assert [r["verdict"] for r in after] == [r["verdict"] for r in before]
+
+
 @pytest.fixture(scope="module")
 def imported(folder: Path) -> ImportedPipeline:
     source = open_run(folder / "again").source
