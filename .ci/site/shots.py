@@ -220,7 +220,12 @@ def main() -> None:
             with Server(*shell(kind.get("view", "")).split(), folder=folder) as server:
                 for shot in of_server:
                     size = dict(zip(("width", "height"), shot.get("size", (1440, 900)), strict=True))
-                    tab = new_tab(browser, "painted", viewport=size, color_scheme=shot.get("theme", "light"))
+                    tab = new_tab(
+                        browser,
+                        "painted" if shot.get("paint", True) else "unpainted",
+                        viewport=size,
+                        color_scheme=shot.get("theme", "light"),
+                    )
                     tab.page.add_init_script(LASTS)
                     steps = [*plan["steps"].get(shot.get("first"), ()), *shot.get("steps", ())]
                     try:
