@@ -21,8 +21,6 @@ PAGES = {
     "reference/formats.md": reference_formats.page,
     "reference/keys.md": reference_keys.page,
 }
-
-
 STYLE = "reference.css"
 
 
