@@ -31,6 +31,10 @@ from pipeline.system.reading import parse_toml  # noqa: E402
 PICTURES = ROOT / "docs" / "pictures"
 MOST_BYTES = 150_000
 MARK = "#d6336c"
+LASTS = (
+    "const soon = setTimeout; window.setTimeout = (f, t, ...a) => soon(f, t > 3900 && t < 20000 ? 60 * t : t, ...a);"
+)
+"""A note of what was saved, which goes after some seconds, stays until its picture is taken."""
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels of the picture."""
 
@@ -42,10 +46,6 @@ def _click(tab: Tab, text: str) -> None:
 def _ask(tab: Tab, question: str) -> None:
     tab.ask(question)
     tab.page.wait_for_timeout(1500)
-
-
-def _type(tab: Tab, text: str) -> None:
-    tab.page.keyboard.type(text, delay=20)
 
 
 def _fill(tab: Tab, what: list[str]) -> None:
@@ -84,12 +84,12 @@ STEPS: dict[str, Callable[[Tab, Any], Any]] = {
     "drawer": lambda tab, what: tab.drawer(what),  # Objects, Edit (What if) or Log
     "press": lambda tab, what: tab.press(what),  # a key of the page
     "key": lambda tab, what: tab.page.keyboard.press(what),  # a key of the field that has the focus
-    "type": _type,
     "fill": _fill,
     "drag": _drag,
     "point": _point,
     "hover": lambda tab, what: tab.see(what).hover(),
     "see": lambda tab, what: tab.see(*([what] if isinstance(what, str) else what)),  # a selector, or one with words
+    "gone": lambda tab, what: tab.poll("what => !document.querySelector(what)", what),
     "scroll": lambda tab, what: tab.page.locator(what).first.scroll_into_view_if_needed(),
     "wait": lambda tab, what: tab.page.wait_for_timeout(1000 * what),
 }
@@ -153,18 +153,17 @@ def save(picture: Image.Image, path: Path) -> int:
     return out.tell()
 
 
-def take(tab: Tab, shot: dict[str, Any], address: str) -> Image.Image:
+def take(tab: Tab, shot: dict[str, Any], steps: list[dict[str, Any]], address: str) -> Image.Image:
     """The picture of one shot."""
     tab.open(address + shot.get("address", ""))
     if shot.get("scene", True):
         tab.drawn()
         tab.poll("document.getElementById('loading').hidden")
-    still(tab)
-    for step in shot.get("steps", ()):
+    for step in steps:
         for verb, what in step.items():
             STEPS[verb](tab, what)
     # The pointer leaves what it has clicked, unless it is to stand somewhere.
-    if not any("hover" in step for step in shot.get("steps", ())):
+    if not any("hover" in step for step in steps):
         tab.page.mouse.move(2, 2)
     picture = still(tab)
     marks = [(box_of(tab, [m["at"], *m.get("and", ())], m.get("margin", 2)), m) for m in shot.get("marks", ())]
@@ -182,51 +181,61 @@ def shell(line: str) -> str:
     return line.replace("spatialviz ", f"{sys.executable} -m spatialviz ")
 
 
-def prepare(commands: list[str], folder: Path) -> None:
-    """Run the commands that make a folder of data, once."""
-    done = folder / ".made"
-    if done.exists() and done.read_text() == str(commands):
-        return
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    for command in commands:
-        subprocess.run(["bash", "-ec", shell(command)], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-    done.write_text(str(commands))
+def prepare(name: str, commands: list[str], work: Path) -> Path:
+    """Run the commands that make a folder of data, once; a copy of it, which a server may write to."""
+    made, copy = work / name, work / "now"
+    done = work / f"{name}.made"
+    if not done.exists() or done.read_text() != str(commands):
+        shutil.rmtree(made, ignore_errors=True)
+        made.mkdir(parents=True)
+        for command in commands:
+            subprocess.run(["bash", "-ec", shell(command)], cwd=made, check=True, stdout=subprocess.DEVNULL)
+        done.write_text(str(commands))
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(made, copy)
+    return copy
 
 
-def words(kind: dict[str, Any], new: str) -> list[str]:
-    """What stands after `spatialviz view`; `{new}` is a folder for a journal that nobody has written to."""
-    return shell(kind.get("view", "")).replace("{new}", new).split()
+def server_of(shot: dict[str, Any]) -> tuple[str, str]:
+    """The server of a shot, and its name where the server is to be its own."""
+    return shot.get("server", "demo"), shot["name"] if shot.get("fresh") else ""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=[], help="names of shots, or how these begin")
     parser.add_argument("--out", type=Path, default=PICTURES)
-    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "spatialviz-shots")
+    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "pictures")
     told = parser.parse_args()
     plan = parse_toml((ROOT / ".ci" / "site" / "shots.toml").read_text("utf-8"))
     shots = [s for s in plan["shot"] if not told.only or s["name"].startswith(tuple(told.only))]
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     told.out.mkdir(parents=True, exist_ok=True)
+    wrong: list[str] = []
     with chromium() as browser:
-        for name, of_server in groupby(shots, lambda shot: shot.get("server", "demo")):
+        for (name, _), of_server in groupby(shots, server_of):
             kind = plan["server"][name]
-            folder = told.work / kind.get("data", "none")
-            prepare(plan["data"].get(kind.get("data"), []), folder)
-            with tempfile.TemporaryDirectory() as new, Server(*words(kind, new), folder=folder) as server:
+            data = kind.get("data", "none")
+            folder = prepare(data, plan["data"].get(data, []), told.work)
+            with Server(*shell(kind.get("view", "")).split(), folder=folder) as server:
                 for shot in of_server:
                     size = dict(zip(("width", "height"), shot.get("size", (1440, 900)), strict=True))
                     tab = new_tab(browser, "painted", viewport=size, color_scheme=shot.get("theme", "light"))
+                    tab.page.add_init_script(LASTS)
+                    steps = [*plan["steps"].get(shot.get("first"), ()), *shot.get("steps", ())]
                     try:
-                        picture = take(tab, shot, server.address)
-                        print(f"{shot['name']}: {save(picture, told.out / (shot['name'] + '.jpg')):,} bytes")
+                        picture = take(tab, shot, steps, server.address)
+                        print(
+                            f"{shot['name']}: {save(picture, told.out / (shot['name'] + '.jpg')):,} bytes", flush=True
+                        )
                     except Exception as error:
                         failed = told.work / f"{shot['name']}-failed.png"
                         tab.page.screenshot(path=failed)
-                        raise SystemExit(f"{shot['name']}: {error}\nwhat the page showed: {failed}") from error
+                        wrong.append(f"{shot['name']}: {error}\n  what the page showed: {failed}")
+                        print(wrong[-1], flush=True)
                     finally:
                         tab.close()
+    sys.exit(1 if wrong else 0)
 
 
 if __name__ == "__main__":

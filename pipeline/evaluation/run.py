@@ -114,7 +114,12 @@ def evaluate_labels(
     spec = spec if relations is not None else replace(spec, relations=None)
     _, labels = spec.open()
     asked = frames_in(labels, "expressions") if spec.grounding else np.zeros(0, np.int64)
-    require(not (spec.grounding and not len(asked)), "these labels have no expressions", path=labels.root)
+    require(
+        not spec.grounding or len(asked),
+        "these labels have no expressions",
+        expected="some made by `label`, or kept on the page: ask, then press *This pair is correct*",
+        path=labels.root,
+    )
     paired = np.zeros(0, np.int64)
     if spec.relations is not None:
         paired = frames_in(labels, "relations", spec.relations.frames)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from label_sets import write_labels
 from slow_cases import mostly_slow
 
 from pipeline.answering import AskConfig, FrameAnswers, PreparedFrame, alone, open_pipeline
@@ -428,3 +429,9 @@ def test_a_run_names_both_files_of_a_segmenter(tmp_path: Path) -> None:
     record = json.loads(json.dumps(spec_record(spec, tmp_path)))
     assert record["options"]["segmenter_model"] == ["models/a.onnx", "models/b.onnx"]
     assert _read_spec(record, tmp_path).options["segmenter_model"] == files
+
+
+def test_labels_without_sentences_say_how_to_get_some(recording: Path, tmp_path: Path) -> None:
+    write_labels(tmp_path / "labels", {})
+    with pytest.raises(InputError, match=r"no expressions; expected some made by `label`, .*This pair is correct"):
+        evaluate_dataset(spec_of(tmp_path / "labels", recording), tmp_path / "run", workers=1, plots=False)

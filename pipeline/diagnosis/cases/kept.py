@@ -50,6 +50,7 @@ class KeptAnswer(BaseModel, extra="forbid"):
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
     refused: str | None = None
+    what: str | None = None  # First words of a longer reason: all that notes of words left out have
 
 
 class KeptProposals(BaseModel, extra="forbid"):
@@ -82,7 +83,7 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
         try:
             found = detector.detect(frame, [name])
         except InputError as error:
-            asked[name] = {"refused": str(error)}
+            asked[name] = {"refused": str(error), **({} if error.what == str(error) else {"what": error.what})}
             continue
         given = keep(found)
         # The same detector twice would keep what has no identity twice.
@@ -123,7 +124,9 @@ class KeptDetector:
                     f"the case has no detections of {name!r}", expected=", ".join(self.kept.asked), path=self.path
                 )
             if answer.refused is not None and labels is not None:
-                raise UnknownClass(answer.refused)
+                error = UnknownClass(answer.refused)
+                error.what = answer.what or error.what
+                raise error
             index += answer.unfiltered if self.everything else answer.given
         rows = self.kept.frames.get(frame.id)
         if rows is None:

@@ -205,7 +205,11 @@ def _write_whole(folder: Path, files: dict[str, bytes], pipeline: Pipeline, reco
 
 
 def _proposals(pipeline: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
-    names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
+    query = None if now.trace is None else now.trace.query
+    names: list[str] = [] if query is None else list(query.labels)
+    if query is not None and query.unused:
+        # What the detector refused was left out of the question, and is refused again where it is replayed.
+        names += pipeline.read(query.text).labels
     case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
         names += filter(None, (case.target, case.reference))
