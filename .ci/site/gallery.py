@@ -25,7 +25,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.cards import cards_of
 from pipeline.diagnosis.cases.replay import replay_case
 from pipeline.diagnosis.cases.saving import OpenedCase, open_case, save_case
