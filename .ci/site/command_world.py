@@ -15,8 +15,8 @@ import numpy as np
 ROOT = command_runs.ROOT
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/proposals"), str(ROOT / "tests/datasets")]
 FRAME, QUESTION = "000001/000000", "mug left of the laptop"
-WORDS = {"FRAME": FRAME, "SENTENCE": QUESTION, "NAME": "ann"}
-"""What stands for a word, and is no file."""
+SELECTION = 12
+"""The seed by which the labels have a sentence of a mug left of a laptop, as the snippets do."""
 ALSO = {
     "DATASET": ("ROOMS", "RECORDING", "PATH/TO/DATASET"),
     "recording": (),
@@ -35,7 +35,8 @@ def make_world(folder: Path) -> None:
     command_runs.enter(folder)
     # Nothing is loaded and used in this process: threads of libraries do not live on in forks of it.
     _done(command_runs.ended(command_runs.started(_files, folder / "log"), folder / "log"))
-    done = ["label DATASET --out LABELS --sentences", "eval DATASET --labels LABELS --detector simulated --out RUN"]
+    done = [f"label DATASET --out LABELS --sentences --selection-seed {SELECTION}"]
+    done += ["eval DATASET --labels LABELS --detector simulated --out RUN"]
     done += ["export-run RUN --out predictions.jsonl", "map DATASET --out MAP"]
     done += [f"save-case demo 0 '{QUESTION}' --detector simulated --out cases/wrong"]
     done += ["correct LABELS --edits SET.json --author ben"]
@@ -117,18 +118,24 @@ def _networks(frame: Any) -> None:
     shutil.copy(CONTRACTS / "depth-anything-v2-metric-indoor.toml", "own.toml")
 
 
+def words(world: Path) -> dict[str, str]:
+    """What stands for a word, and is no file: SENTENCE is one that the labels have, and the run with them."""
+    first = json.loads((world / "predictions.jsonl").read_text("utf-8").splitlines()[1])
+    return {"FRAME": first["frame"], "SENTENCE": first["text"], "NAME": "ann"}
+
+
 def python_names(world: Path) -> dict[str, Any]:
     """What stands in the snippets for the reader's own: arrays of his detector, ids, questions, edits."""
     import spatialviz as sp
-    from pipeline.diagnosis import Edits
 
     asked = sp.open_labels(world / "LABELS").expressions.to_pylist()
     about = ("mug", "left", "laptop")
     questions = [(e["frame"], e["text"]) for e in asked if (e["target"], e["relation"], e["reference"]) == about]
+    assert questions, "the labels have no sentence of a mug left of a laptop: choose another SELECTION"
     boxes, scores = np.array([[290.0, 180, 330, 230]]), np.array([0.9])
     masks = np.zeros((1, 480, 640), bool)
     masks[0, 180:230, 290:330] = True
     names: dict[str, Any] = {"sp": sp, "frame": FRAME, "text": QUESTION, "questions": questions}
     names |= {"boxes": boxes, "scores": scores, "masks": masks, "my_ids": [7]}
-    names |= {"other_boxes": boxes + 100, "other_scores": scores, "edits": Edits(k=5)}
+    names |= {"other_boxes": boxes + 100, "other_scores": scores, "edits": {"k": 5}}
     return names | {"c": np.array([0.1, 0.2, 1.4]), "s": np.array([0.08, 0.1, 0.08]), "R": np.eye(3)}

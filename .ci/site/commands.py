@@ -113,8 +113,8 @@ class Page:
 
     def _command(self, command: Command, block: Block) -> tuple[Any, ...]:
         files = self.folder / "log"
-        named = rf"\b({'|'.join(command_world.WORDS)})\b"
-        text = re.sub(named, lambda found: command_world.WORDS[found[1]], command.text)
+        known = command_world.words(self.world)
+        text = re.sub(rf"\b({'|'.join(known)})\b", lambda found: known[found[1]], command.text)
         words = Command(command.line, text, command.comment).words
         own = words is not None and words[:1] == ["spatialviz"]
         if block.not_run:
