@@ -271,9 +271,12 @@ def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
     """The lines of one frame; masks stand at the first mention of an object."""
     frame = answers.context.frame
     known = [o.id for o in answers.objects]
-    ids = known if min(known, default=0) >= 0 else list(range(len(known)))
+    # One thing found by two names may be two objects, each with the box of its class.
+    own = min(known, default=0) >= 0 and len(set(known)) == len(known)
+    ids = known if own else list(range(len(known)))
     told: set[int] = set()
-    dropped = {name: tuple(_dropped(answers, name, max(ids, default=0) + 1)) for name in answers.candidates}
+    numbers = {o.bbox.tobytes(): number for o, number in zip(answers.objects, ids, strict=True)}
+    dropped = {name: tuple(_dropped(answers, name, numbers, own)) for name in answers.candidates}
     for case in truth.cases:
         proposals = {}
         for name in dict.fromkeys((case.target, case.reference)):
@@ -318,8 +321,8 @@ def _given_box(box: Box3D | None) -> PredictedBox | None:
     return PredictedBox(center, size, R)  # type: ignore[arg-type]
 
 
-def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal]:
-    """Discarded detections for a name, with the reasons."""
+def _dropped(answers: FrameAnswers, name: str, numbers: dict[bytes, int], own: bool) -> Iterator[Proposal]:
+    """Discarded detections for a name, with the reasons; with `own` ids, where they have one, else by `numbers`."""
     source, frame = answers.source, answers.context.frame
     went = {answers.objects[k].bbox.tobytes() for k in answers.candidates[name].index.tolist()}
     seen = set(went)
@@ -331,7 +334,9 @@ def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal
         for box, score, i in zip(found.boxes, found.scores.tolist(), found.ids.tolist(), strict=True):
             if box.tobytes() not in seen:
                 seen.add(box.tobytes())
-                yield Proposal(number + len(seen) if i < 0 else i, score, tuple(map(float, box)), dropped=reason)  # type: ignore[arg-type]
+                if not own or i < 0:
+                    i = numbers.setdefault(box.tobytes(), max(numbers.values(), default=-1) + 1)
+                yield Proposal(i, score, tuple(map(float, box)), dropped=reason)  # type: ignore[arg-type]
 
 
 def judge_again(

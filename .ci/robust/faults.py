@@ -1,0 +1,42 @@
+"""Faults done to real processes: killed, starved, disturbed; and whether each promise was kept.
+
+python .ci/robust/faults.py --seconds 300 [--seed N] [--only kill-eval,page,...] [--json]
+
+Exit status 1 where a promise was broken. What each kind promises stands in .github/SECURITY.md.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / ".ci" / "page")]
+
+import kills
+from promises import Kind, Tally, chosen, generator, options, rounds
+from world import World
+
+Scenario = Callable[..., None]
+SCENARIOS: dict[str, Scenario] = {**kills.scenarios()}
+
+
+def main() -> int:
+    given = options(__doc__, SCENARIOS).parse_args()
+    names, tally = chosen(SCENARIOS, given.only), Tally("faults", given.seed)
+    with tempfile.TemporaryDirectory(prefix="faults-") as home:
+        world = World(Path(home))
+
+        def begin(name: str, number: int) -> None:
+            again = f"python .ci/robust/faults.py --only {name} --seed {given.seed}"
+            with tally.watching(name, round=number, again=again) as kind:
+                SCENARIOS[name](world, generator(given.seed, name, number), kind)
+
+        rounds(names, given.seconds, begin)
+    return tally.end(given.out, given.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
