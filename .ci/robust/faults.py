@@ -13,14 +13,27 @@ from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / ".ci" / "page")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / ".ci"), str(ROOT / ".ci" / "page")]
 
+import disks
+import disturbed
+import journals
 import kills
+import pages
 from promises import Kind, Tally, chosen, generator, options, rounds
 from world import World
 
 Scenario = Callable[..., None]
-SCENARIOS: dict[str, Scenario] = {**kills.scenarios()}
+IDLE = "page-idle"
+"""Lasts as long as the others."""
+SCENARIOS: dict[str, Scenario] = {
+    **kills.scenarios(),
+    **disks.scenarios(),
+    **disturbed.SCENARIOS,
+    **journals.SCENARIOS,
+    **pages.SCENARIOS,
+    IDLE: lambda *_: None,
+}
 
 
 def main() -> int:
@@ -34,7 +47,15 @@ def main() -> int:
             with tally.watching(name, round=number, again=again) as kind:
                 SCENARIOS[name](world, generator(given.seed, name, number), kind)
 
-        rounds(names, given.seconds, begin)
+        idle = pages.Idle() if IDLE in names else None
+        try:
+            rounds([name for name in names if name != IDLE], given.seconds, begin)
+            if idle is not None:
+                with tally.watching(IDLE) as kind:
+                    idle.look(kind)
+        finally:
+            if idle is not None:
+                idle.end()
     return tally.end(given.out, given.json)
 
 
