@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from commands import Done
@@ -20,6 +20,7 @@ from world import EVAL, FRAME, World, leftovers
 if os.name == "posix":
     import resource
 
+HERE = Path(__file__).parent
 FAKE = ("/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1", "/usr/lib/aarch64-linux-gnu/faketime/libfaketimeMT.so.1")
 JUMPS = ("-400d", "+400d", "-1h", "+3h", "@1970-01-01 00:00:10", "@2000-02-29 23:59:58", "@2037-12-31 23:59:58", "+0")
 """What libfaketime makes of the time."""
@@ -34,14 +35,23 @@ def fake_clock(file: Path) -> dict[str, str]:
     return {"LD_PRELOAD": library, "DONT_FAKE_MONOTONIC": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1", **told}
 
 
+SECONDS = ("-3e7", "3e7", "-3600", "1e4", "-1.79e9", "0")
+"""The same for `clock/sitecustomize.py`."""
+
+
+def moved_clock(file: Path) -> dict[str, str]:
+    """Environment in which Python's own time is what a file says."""
+    return {"CLOCK_FILE": str(file), "PYTHONPATH": os.pathsep.join([str(HERE / "clock"), str(HERE.parents[1])])}
+
+
 @contextlib.contextmanager
-def jumping(file: Path, rng: random.Random) -> Iterator[None]:
+def jumping(file: Path, rng: random.Random, jumps: Sequence[str] = JUMPS) -> Iterator[None]:
     """Let the clock jump several times a second while the block runs."""
     ended = threading.Event()
 
     def jump() -> None:
         while not ended.wait(rng.uniform(0.05, 0.4)):
-            file.write_text(rng.choice(JUMPS) + "\n")
+            file.write_text(rng.choice(jumps) + "\n")
 
     file.write_text("+0\n")
     thread = threading.Thread(target=jump)

@@ -7,6 +7,7 @@ Exit status 1 where a promise was broken. What each kind promises stands in .git
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -37,6 +38,7 @@ SCENARIOS: dict[str, Scenario] = {
 
 
 def main() -> int:
+    os.chdir(ROOT)
     given = options(__doc__, SCENARIOS).parse_args()
     names, tally = chosen(SCENARIOS, given.only), Tally("faults", given.seed)
     with tempfile.TemporaryDirectory(prefix="faults-") as home:

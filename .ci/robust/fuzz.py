@@ -30,6 +30,7 @@ SERVER = ("http", "websocket")
 
 
 def main() -> int:
+    os.chdir(ROOT)
     parser = options(__doc__, ())
     parser.add_argument("--number", type=int, help="only this input, of the one kind that --only names")
     parser.add_argument("--kept", type=Path, default=Path(tempfile.gettempdir()) / "fuzz-kept", help="where inputs are kept")

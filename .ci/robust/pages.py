@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import load_page
-from disturbed import changing, fake_clock, jumping
+from disturbed import SECONDS, changing, jumping, moved_clock
 from promises import Kind, promise
 from servers import Server
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -271,7 +271,7 @@ def jumping_view(world: World, rng: random.Random, kind: Kind) -> None:
     """The clock jumps under a page that edits: every edit is saved, in order."""
     file, labels, acknowledged = world.home / "page-clock", world.labels_of_its_own(), list[str]()
     file.write_text("+0\n")
-    with served(world.dataset, "--labels", labels, "--author", "ann", env=fake_clock(file)) as server:
+    with served(world.dataset, "--labels", labels, "--author", "ann", env=moved_clock(file)) as server:
 
         async def some() -> None:
             editing = asyncio.create_task(_edit(server.port, acknowledged))
@@ -280,7 +280,7 @@ def jumping_view(world: World, rng: random.Random, kind: Kind) -> None:
                 await asyncio.sleep(0.05)
             editing.cancel()
 
-        with jumping(file, rng):
+        with jumping(file, rng, SECONDS):
             asyncio.run(some())
     kind.times += 1
     saved = [e["after"] for e in world.events(labels) if e["field"] == "label"]

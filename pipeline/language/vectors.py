@@ -164,7 +164,7 @@ def _texts(names: np.ndarray, key: str, path: Path) -> list[str]:
     try:
         return [n.decode("utf-8") for n in names.tolist()] if names.dtype.kind == "S" else checked_texts(names).tolist()
     except ValueError as error:
-        raise InputError(f"the array {key!r} is no text", got=error, path=path) from error
+        raise InputError(f"the array {key!r} is not UTF-8 or other text", got=error, path=path) from error
 
 
 def _table(path: Path, kind: Any, names: Sequence[str], vectors: np.ndarray) -> VectorTable:
