@@ -83,7 +83,9 @@ class Commands:
             raise
         return Done(tuple(map(str, words)), process.returncode, out, err)
 
-    def killed(self, rng: random.Random, lasts: float, *words: object, appears: Callable[[], bool] | None = None) -> bool:
+    def killed(
+        self, rng: random.Random, lasts: float, *words: object, appears: Callable[[], bool] | None = None
+    ) -> bool:
         """Start a command and kill it at some moment; whether the kill hit it.
 
         `lasts`: seconds that it takes. Half of the kills wait until something of its result `appears`; half of

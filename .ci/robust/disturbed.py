@@ -21,7 +21,10 @@ if os.name == "posix":
     import resource
 
 HERE = Path(__file__).parent
-FAKE = ("/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1", "/usr/lib/aarch64-linux-gnu/faketime/libfaketimeMT.so.1")
+FAKE = (
+    "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1",
+    "/usr/lib/aarch64-linux-gnu/faketime/libfaketimeMT.so.1",
+)
 JUMPS = ("-400d", "+400d", "-1h", "+3h", "@1970-01-01 00:00:10", "@2000-02-29 23:59:58", "@2037-12-31 23:59:58", "+0")
 """What libfaketime makes of the time."""
 
@@ -148,7 +151,7 @@ def changing(dataset: Path, spare: Path, rng: random.Random, pause: float = 0.3)
 
 
 def changing_job(world: World, rng: random.Random, kind: Kind) -> None:
-    """Label, evaluate or ask while the dataset changes: an end in a line or a result that opens; then, put back, as ever."""
+    """Work on a dataset that changes: an end in a line or a result that opens; then, put back, as ever."""
     dataset = world.copy_of_dataset(world.folder("changing") / "dataset")
     out = dataset.parent / "out"
     name = rng.choice(("label", "eval", "detect", "frames", "ask", "doctor"))
@@ -222,7 +225,9 @@ def copied_twice(world: World, rng: random.Random, kind: Kind) -> None:
     time.sleep(1.1)
     world.commands.run(*JOBS[name].words(world, out)).well(0)
     kind.times += 1
-    promise(content_of(JOBS[name], out) == whole, f"{name}: the same bytes", differing(content_of(JOBS[name], out), whole))
+    promise(
+        content_of(JOBS[name], out) == whole, f"{name}: the same bytes", differing(content_of(JOBS[name], out), whole)
+    )
     shutil.rmtree(out.parent)
 
 

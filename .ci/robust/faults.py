@@ -5,6 +5,8 @@ python .ci/robust/faults.py --seconds 300 [--seed N] [--only kill-eval,page,...]
 Exit status 1 where a promise was broken. What each kind promises stands in .github/SECURITY.md.
 """
 
+# ruff: noqa: E402 (where modules are found is set first)
+
 from __future__ import annotations
 
 import os
@@ -21,7 +23,7 @@ import disturbed
 import journals
 import kills
 import pages
-from promises import Kind, Tally, chosen, generator, options, rounds
+from promises import Tally, chosen, generator, options, rounds
 from world import World
 
 Scenario = Callable[..., None]

@@ -6,6 +6,8 @@ python .ci/robust/fuzz.py --only onnx --seed N --number K      # that input agai
 Inputs that broke a promise are kept in --kept. Exit status 1 where there is one.
 """
 
+# ruff: noqa: E402 (where modules are found is set first)
+
 from __future__ import annotations
 
 import os
@@ -15,7 +17,13 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "datasets"), str(ROOT / ".ci"), str(ROOT / ".ci" / "page")]
+sys.path[:0] = [
+    str(ROOT),
+    str(ROOT / "tests"),
+    str(ROOT / "tests" / "datasets"),
+    str(ROOT / ".ci"),
+    str(ROOT / ".ci" / "page"),
+]
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import sockets_fuzz
@@ -33,12 +41,18 @@ def main() -> int:
     os.chdir(ROOT)
     parser = options(__doc__, ())
     parser.add_argument("--number", type=int, help="only this input, of the one kind that --only names")
-    parser.add_argument("--kept", type=Path, default=Path(tempfile.gettempdir()) / "fuzz-kept", help="where inputs are kept")
+    parser.add_argument(
+        "--kept", type=Path, default=Path(tempfile.gettempdir()) / "fuzz-kept", help="where inputs are kept"
+    )
     given = parser.parse_args()
     tally = Tally("fuzz", given.seed)
     with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary:
         home = Path(temporary)
-        os.environ |= {"SPATIALVIZ_CACHE": str(home / "cache"), "XDG_DATA_HOME": str(home / "data"), "TMPDIR": temporary}
+        os.environ |= {
+            "SPATIALVIZ_CACHE": str(home / "cache"),
+            "XDG_DATA_HOME": str(home / "data"),
+            "TMPDIR": temporary,
+        }
         tempfile.tempdir = temporary
         world = World(home)
         every = kinds(world, home)

@@ -42,7 +42,7 @@ class FileKind:
 
 @dataclass(frozen=True)
 class TextKind:
-    """Valid texts, how another is made of one, and what reads it: words of a command, in which "{}" is it, or a call."""
+    """Valid texts, how another is made of one, and what reads it: words of a command, with "{}" for it, or a call."""
 
     texts: Sequence[str]
     change: Callable[[str, random.Random], str]
@@ -62,7 +62,9 @@ def _pictures(folder: Path) -> dict[str, Path]:
             image: Any = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
             file.unlink()
             with suppress(cv2.error):
-                cv2.imwrite(str(file.with_suffix(ending)), image.astype(np.float32) / 1000 if ending == ".exr" else image)
+                cv2.imwrite(
+                    str(file.with_suffix(ending)), image.astype(np.float32) / 1000 if ending == ".exr" else image
+                )
         made[ending[1:]] = root
     return made
 
@@ -127,13 +129,19 @@ def kinds(world: World, home: Path) -> dict[str, FileKind | TextKind]:
     labels, run = seeds / "labels", seeds / "run"
     shutil.copytree(world.labels, labels, ignore=shutil.ignore_patterns("parts"))
     shutil.copytree(world.run, run)
-    found["labels"] = FileKind(labels, (("check", "{}"), ("show", "{}", FRAME), ("export", "{}", "--format", "coco", "--out", "{}/out")))
-    found["run"] = FileKind(run, (("failures", "{}"), ("failures", "{}", "--json"), ("query", "{}", "select count(*) from records")))
+    found["labels"] = FileKind(
+        labels, (("check", "{}"), ("show", "{}", FRAME), ("export", "{}", "--format", "coco", "--out", "{}/out"))
+    )
+    found["run"] = FileKind(
+        run, (("failures", "{}"), ("failures", "{}", "--json"), ("query", "{}", "select count(*) from records"))
+    )
     found["case"] = FileKind(FIXTURES / "case", (("replay", "{}"),))
     found["case-imported"] = FileKind(FIXTURES / "case_imported", (("replay", "{}"),))
     found["journal"] = FileKind(FIXTURES / "labels", (("journal", "{}"), ("journal", "{}", "--json")), "journal*")
     found["coco"] = FileKind(
-        world.coco, (("import", str(world.labels), "{}/instances.json", "--author", "x", "--dry-run"),), "instances.json"
+        world.coco,
+        (("import", str(world.labels), "{}/instances.json", "--author", "x", "--dry-run"),),
+        "instances.json",
     )
     found |= _made_of_one_file(world, seeds)
     found |= _texts(world)
@@ -150,8 +158,15 @@ def _made_of_one_file(world: World, seeds: Path) -> dict[str, FileKind | TextKin
     shutil.copy(world.edits, one / "edits.json")
     shutil.copy(FIXTURES / "simulated.toml", one)
     vectors = {"mug": [0.5, 1.0, 0.0], "desk lamp": [1.0, 0.25, 0.125]}
-    (one / "words.vec").write_text("2 3\n" + "\n".join(f"{w.replace(' ', '_')} {' '.join(map(str, v))}" for w, v in vectors.items()))
-    np.savez(one / "words.npz", words=np.array(list(vectors)), vectors=np.array(list(vectors.values()), np.float32), kind="word")
+    (one / "words.vec").write_text(
+        "2 3\n" + "\n".join(f"{w.replace(' ', '_')} {' '.join(map(str, v))}" for w, v in vectors.items())
+    )
+    np.savez(
+        one / "words.npz",
+        words=np.array(list(vectors)),
+        vectors=np.array(list(vectors.values()), np.float32),
+        kind="word",
+    )
     mesh = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     mesh += "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
     scene = seeds / "ply"
@@ -162,13 +177,29 @@ def _made_of_one_file(world: World, seeds: Path) -> dict[str, FileKind | TextKin
     return {
         "detections": FileKind(one, ((*ask, "--detector", "recorded", "--model", "{}/found.json"),), "found.json"),
         "detections-npz": FileKind(seeds / "npz", ((*ask, "--detector", "recorded", "--model", "{}"),)),
-        "simulated": FileKind(one, ((*ask, "--detector", "simulated", "--model", "{}/simulated.toml"),), "simulated.toml"),
+        "simulated": FileKind(
+            one, ((*ask, "--detector", "simulated", "--model", "{}/simulated.toml"),), "simulated.toml"
+        ),
         "predictions": FileKind(
             one,
-            (("import-run", "{}/predictions.jsonl", "--dataset", demo, "--labels", str(world.labels), "--out", "{}/out", "--no-plots"),),
+            (
+                (
+                    "import-run",
+                    "{}/predictions.jsonl",
+                    "--dataset",
+                    demo,
+                    "--labels",
+                    str(world.labels),
+                    "--out",
+                    "{}/out",
+                    "--no-plots",
+                ),
+            ),
             "predictions.jsonl",
         ),
-        "onnx": FileKind(one, (("models", "{}/relations.onnx"), (*ask, "--srm", "{}/relations.onnx")), "relations.onnx"),
+        "onnx": FileKind(
+            one, (("models", "{}/relations.onnx"), (*ask, "--srm", "{}/relations.onnx")), "relations.onnx"
+        ),
         "edits": FileKind(
             one,
             (("correct", str(world.labels), "--edits", "{}/edits.json", "--author", "x", "--journal", "{}/j.sqlite"),),
@@ -199,7 +230,9 @@ def _texts(world: World) -> dict[str, FileKind | TextKind]:
         "query": TextKind(
             ["select 1"], GRAMMARS["query"], ("query", str(world.run), "{}", "--limits", "query=200M,query_seconds=5")
         ),
-        "search": TextKind(["verdict:OPM-CONF relation:left"], GRAMMARS["sentence"], ("failures", str(world.run), "{}")),
+        "search": TextKind(
+            ["verdict:OPM-CONF relation:left"], GRAMMARS["sentence"], ("failures", str(world.run), "{}")
+        ),
         "view": TextKind(views, GRAMMARS["view"], call=decode),
         "whatif-edits": TextKind([json.dumps(whatif)], as_json, call=read_edits),
         "mcp": TextKind(calls, as_json, call=_Agent(world)),
@@ -238,7 +271,10 @@ def harmed_copy(kind: FileKind, folder: Path, rng: random.Random) -> list[str]:
         names.append(str(file.relative_to(folder)))
         if rng.random() < 0.03:
             file.unlink()
-            rng.choice((lambda: file.symlink_to("/etc/passwd"), lambda: file.symlink_to(file.name), file.mkdir))()
+            if to := rng.choice(("/etc/passwd", file.name, "")):
+                file.symlink_to(to)
+            else:
+                file.mkdir()
             continue
         file.write_bytes(mutated(file.name, file.read_bytes(), rng, rng.choice(files).read_bytes()))
     return names

@@ -111,7 +111,11 @@ def kill_job(name: str, world: World, rng: random.Random, kind: Kind) -> None:
         opened = world.commands.run(*job.opens(world, out))
         opened.well(0, 1 if opened.words[0] == "models" else 0, 2)
         kind.counts[f"left: {'refused' if opened.status else 'opens'}"] += 1
-        promise(opened.status or content_of(job, out) == whole, "what opens is whole", (opened, differing(content_of(job, out), whole)))
+        promise(
+            opened.status or content_of(job, out) == whole,
+            "what opens is whole",
+            (opened, differing(content_of(job, out), whole)),
+        )
     if out.exists() and not job.again:
         found = content_of(job, out)
         found = {name: digest for name, digest in found.items() if not Path(name).parts[0].endswith(".tmp")}
@@ -145,7 +149,9 @@ def kill_over(world: World, rng: random.Random, kind: Kind) -> None:
     shutil.rmtree(out.parent)
 
 
-def kill_writer(words: Callable[[World, Path], Words], whole: int, world: World, rng: random.Random, kind: Kind) -> None:
+def kill_writer(
+    words: Callable[[World, Path], Words], whole: int, world: World, rng: random.Random, kind: Kind
+) -> None:
     """Kill what writes into a journal: all of its changes are there, or none, and those of before."""
     labels = world.labels_of_its_own()
     world.commands.run("correct", labels, "--edits", first_edit(world), "--author", "ann").well(0)
@@ -154,7 +160,10 @@ def kill_writer(words: Callable[[World, Path], Words], whole: int, world: World,
     size = journal.stat().st_size
     lasts = 1.2
     hit = world.commands.killed(
-        rng, lasts, *words(world, labels), appears=lambda: (labels / "journal.sqlite-wal").exists() or journal.stat().st_size != size
+        rng,
+        lasts,
+        *words(world, labels),
+        appears=lambda: (labels / "journal.sqlite-wal").exists() or journal.stat().st_size != size,
     )
     kind.times += hit
     kind.counts["too late"] += not hit

@@ -12,21 +12,50 @@ import zlib
 from collections.abc import Callable
 from typing import Any
 
-NUMBERS = ("0", "-1", "1e999", "-1e999", "NaN", "Infinity", "9" * 30, "1e-320", "2147483648", "18446744073709551616", "0.5")
+NUMBERS = (
+    "0",
+    "-1",
+    "1e999",
+    "-1e999",
+    "NaN",
+    "Infinity",
+    "9" * 30,
+    "1e-320",
+    "2147483648",
+    "18446744073709551616",
+    "0.5",
+)
 VALUES: tuple[Any, ...] = (
-    None, True, -1, 0, 2**31, 2**63, 2**64, 1e308, float("nan"), float("inf"), "", "x", "\x1b[2J", "\u202e", "x" * 70_000,
-    [], {}, [[]], [None], {"": 0}, "../../../etc/passwd", "/dev/zero", "\ud800", "9" * 5_000, [0] * 3, {"a": {"b": []}},
+    None, True, -1, 0, 2**31, 2**63, 2**64, 1e308, float("nan"), float("inf"), "", "x", "\x1b[2J", "\u202e",
+    "x" * 70_000, [], {}, [[]], [None], {"": 0}, "../../../etc/passwd", "/dev/zero", "\ud800", "9" * 5_000,
+    [0] * 3, {"a": {"b": []}},
 )  # fmt: skip
-TEXTS = ("\x00", "\x1b]0;x\x07", "\u202e", "\u009b", "\x7f", "<img src=x onerror=alert(1)>", "'; --", "%s%n", "{}", "../", "\ufeff")
+TEXTS = (
+    "\x00",
+    "\x1b]0;x\x07",
+    "\u202e",
+    "\u009b",
+    "\x7f",
+    "<img src=x onerror=alert(1)>",
+    "'; --",
+    "%s%n",
+    "{}",
+    "../",
+    "\ufeff",
+)
 WORDS = (
-    "mug", "the", "left", "of", "laptop", "behind", "between", "and", "nearest", "second", "from", "red", "not", "that", "is",
-    "on", "leftmost", "in front", "which", "largest", "two", "a", "of the", "?", ",", '"', "椅子", "(", ")", "\x1b[31m", "-1",
+    "mug", "the", "left", "of", "laptop", "behind", "between", "and", "nearest", "second", "from", "red", "not", "that",
+    "is", "on", "leftmost", "in front", "which", "largest", "two", "a", "of the", "?", ",", '"', "椅子", "(", ")",
+    "\x1b[31m", "-1",
 )  # fmt: skip
 SQL = (
-    "select", "count(*)", "from records", "from labels_objects", "list(x)", "range(900000000) t(x)", "repeat('x', 3000000000)",
-    "join records r2 on true", "read_csv('/etc/passwd')", "copy records to '/tmp/x'", "attach 'x.db'", "union all", "(", ")",
+    "select", "count(*)", "from records", "from labels_objects", "list(x)", "range(900000000) t(x)",
+    "repeat('x', 3000000000)",
+    "join records r2 on true", "read_csv('/etc/passwd')", "copy records to '/tmp/x'", "attach 'x.db'", "union all", "(",
+    ")",
     "with recursive t(n) as (select 1 union all select n + 1 from t) select * from t", "order by 1", "group by verdict",
-    "pragma database_list", "install httpfs", ";", "'", "where", "1 = 1", "cross join range(100000)", "*", ",", "limit 5",
+    "pragma database_list", "install httpfs", ";", "'", "where", "1 = 1", "cross join range(100000)", "*", ",",
+    "limit 5",
     "getenv('HOME')", "glob('/*')", "\x00", "md5(text)", "regexp_replace(text, '(a*)*b', '')",
 )  # fmt: skip
 

@@ -62,13 +62,15 @@ async def _edit(port: int, acknowledged: list[str]) -> None:
             client.toasts.clear()
             await client.act(f"object:{number % 6}")
             answered = await client.act(f"class:{CLASSES[number // 6 % 3]}")
-            acknowledged += [t["text"].rpartition("→ ")[2].partition(" · ")[0] for t in client.toasts if t["title"] == "Saved"]
+            acknowledged += [
+                t["text"].rpartition("→ ")[2].partition(" · ")[0] for t in client.toasts if t["title"] == "Saved"
+            ]
             if answered is None or client.page.state.name != "OPEN":
                 return
 
 
 def killed_edits(world: World, rng: random.Random, kind: Kind) -> None:
-    """Kill the server while a page edits: each acknowledged edit is in the journal, in order; the next server goes on."""
+    """Kill the server while a page edits: acknowledged edits are in the journal, in order; the next server goes on."""
     labels = world.labels_of_its_own()
     acknowledged: list[str] = []
     words = (world.dataset, "--labels", labels, "--author", "ann")
@@ -131,7 +133,9 @@ def _half_requests(port: int, halt: threading.Event) -> None:
     for number in range(60):
         with contextlib.suppress(OSError):
             one = socket.create_connection(("127.0.0.1", port), 5)
-            one.sendall(b"" if number % 3 == 0 else b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-A: " + b"b" * (number * 100))
+            one.sendall(
+                b"" if number % 3 == 0 else b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-A: " + b"b" * (number * 100)
+            )
             opened.append(one)
     halt.wait(30)
     for one in opened:
@@ -144,7 +148,9 @@ async def _answered(port: int, rounds: int, kind: Kind) -> None:
     await client.open(scene=False)
     for number in range(rounds):
         begun = time.monotonic()
-        promise(await client.act(f"frame:{number % 4}") is not None, f"another page is answered within {ANSWERED:.0f} s")
+        promise(
+            await client.act(f"frame:{number % 4}") is not None, f"another page is answered within {ANSWERED:.0f} s"
+        )
         promise(await client.act("ask:mug left of the laptop") is not None, "another page is answered")
         kind.most("slowest answer s", time.monotonic() - begun)
     await client.close()
@@ -155,7 +161,9 @@ def unread(world: World, rng: random.Random, kind: Kind) -> None:
     with served("demo") as server:
         asyncio.run(_answered(server.port, 2, kind))
         start, halt = load_page.resident_mb(server.process.pid), threading.Event()
-        bad: list[Callable[[], None]] = [partial(_never_reads, server.port, 200, halt, slow) for slow in (False, True)] * 3
+        bad: list[Callable[[], None]] = [
+            partial(_never_reads, server.port, 200, halt, slow) for slow in (False, True)
+        ] * 3
         threads = [threading.Thread(target=one) for one in (*bad, partial(_half_requests, server.port, halt))]
         for thread in threads:
             thread.start()
@@ -253,7 +261,9 @@ def clients(world: World, rng: random.Random, kind: Kind) -> None:
     kind.most("MB at most", most)
     kind.most("MB afterwards / start", now / start)
     promise(not figures.lost, "no reply is lost", figures.lost)
-    promise(now <= start * (1 + BACK_WITHIN), "memory is back within 20 %", f"{start:.0f} -> {most:.0f} -> {now:.0f} MB")
+    promise(
+        now <= start * (1 + BACK_WITHIN), "memory is back within 20 %", f"{start:.0f} -> {most:.0f} -> {now:.0f} MB"
+    )
 
 
 def changing_view(world: World, rng: random.Random, kind: Kind) -> None:
@@ -321,7 +331,9 @@ class Idle:
         kind.most("memory / start", grown)
         try:
             promise(self._do(self._client.act("frame:3")) is not None, "an idle page answers")
-            promise(worked < 0.05 * seconds + 2, "an idle server does next to nothing", f"{worked:.1f} s of {seconds:.0f}")
+            promise(
+                worked < 0.05 * seconds + 2, "an idle server does next to nothing", f"{worked:.1f} s of {seconds:.0f}"
+            )
             promise(grown <= 1 + BACK_WITHIN, "an idle server does not grow", grown)
         finally:
             self.end()

@@ -25,7 +25,8 @@ REQUEST = (
 )
 COMMANDS = (
     "frame", "open", "ask", "object", "class", "edit", "pair", "task", "labels", "data", "stage", "search", "restore",
-    "px-stroke", "mend-live", "edit-live", "rows", "next-pair", "take-back", "drawer", "click", "camera", "settle", "box",
+    "px-stroke", "mend-live", "edit-live", "rows", "next-pair", "take-back", "drawer", "click", "camera", "settle",
+    "box",
 )  # fmt: skip
 AT_ONCE = 20
 LARGER = 500
@@ -52,7 +53,9 @@ class Fuzzed:
         counted.most("MB more", load_page.resident_mb(self._server.process.pid) - self._start)
 
     def _http(self, rng: random.Random) -> None:
-        path = rng.choice((b"", b"app/index.html", b"app/socket?id=" + b"a" * 32, b"scene/" + b"a" * 32, b"app/image/x.jpg"))
+        path = rng.choice(
+            (b"", b"app/index.html", b"app/socket?id=" + b"a" * 32, b"scene/" + b"a" * 32, b"app/image/x.jpg")
+        )
         with socket.create_connection(("127.0.0.1", self._server.port), 5) as one:
             one.sendall(binary(REQUEST % (path, self._server.port), rng))
             one.settimeout(0.3)
@@ -69,7 +72,9 @@ class Fuzzed:
         with connect(f"{at}/app/socket?id={name}", origin=origin) as page:  # type: ignore[arg-type]
             page.send('{"type": "hello"}')
             for _ in range(rng.randint(1, 6)):
-                arguments = [rng.choice((*VALUES, "0", "1:2", "mug left of the laptop")) for _ in range(rng.randint(0, 3))]
+                arguments = [
+                    rng.choice((*VALUES, "0", "1:2", "mug left of the laptop")) for _ in range(rng.randint(0, 3))
+                ]
                 command = {"type": "command", "name": rng.choice(COMMANDS), "arguments": arguments}
                 if rng.random() < 0.3:
                     command = value(command, rng)

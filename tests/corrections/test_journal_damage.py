@@ -19,6 +19,7 @@ from pipeline.corrections.journal import sqlite_file
 from pipeline.corrections.journal.examining import examine
 from pipeline.corrections.journal.sqlite_file import lost_in_log
 
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Parts], tuple[Event, ...]]:
     """A journal as it is when it was closed, and while it is open; and its events."""

@@ -150,7 +150,8 @@ def test_what_a_killed_process_left_goes_at_the_next_start(tmp_path: Path, monke
 @pytest.mark.parametrize("write", [in_file, lambda path: temporary_folder(path).__enter__()])
 def test_what_a_killed_writer_left_goes_with_the_next_one(write: Callable[[Path], Any], tmp_path: Path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from pipeline.system.whole_files import temporary_folder, whole_file\n"
+        "import os, sys; from pathlib import Path\n"
+        "from pipeline.system.whole_files import temporary_folder, whole_file\n"
         "with whole_file(Path(sys.argv[1]), 'it') as file, temporary_folder(Path(sys.argv[1])):\n"
         "    file.write_text('half'); os.kill(os.getpid(), 9)"
     )
