@@ -64,6 +64,7 @@ class Client:
         self.first = self.last = self.drawn = 0.0
         self.cloud: Counter[str] = Counter()
         """Bytes of points and colours by node of the scene, since the last command."""
+        self.toasts: list[dict[str, Any]] = []
         self._heard = asyncio.Event()
         self._typed = ""
         self._tasks: list[asyncio.Task[None]] = []
@@ -115,6 +116,8 @@ class Client:
                 message = json.loads(text)
                 if message["type"] == "patch":
                     self.first = self.first or time.monotonic()
+                elif message["type"] == "call" and message["name"] == "toast":
+                    self.toasts.append(message["data"])
                 elif message["type"] == "call" and message["name"] == "asking":
                     self._typed = message["data"]["typed"]
                     self._heard.set()

@@ -35,7 +35,9 @@ class Server:
         Where its data stand, and what the page writes about them.
     """
 
-    def __init__(self, *words: object, port: int = 0, folder: Path = Path()) -> None:
+    def __init__(
+        self, *words: object, port: int = 0, folder: Path = Path(), env: dict[str, str] | None = None
+    ) -> None:
         self.folder = folder
         self.port = port or free_port()
         self.address = f"http://127.0.0.1:{self.port}"
@@ -43,7 +45,7 @@ class Server:
         command += ["--port", str(self.port), "--no-open-browser"]
         # What was corrected in the demo before is not what a check begins with, and what it corrects is nobody's.
         self._home = tempfile.TemporaryDirectory()
-        own = {**os.environ, "XDG_DATA_HOME": self._home.name, "PYTHONFAULTHANDLER": "1"}
+        own = {**os.environ, "XDG_DATA_HOME": self._home.name, "PYTHONFAULTHANDLER": "1", **(env or {})}
         self.started = time.monotonic()
         self.process = subprocess.Popen(command, cwd=folder, env=own, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 

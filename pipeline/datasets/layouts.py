@@ -180,6 +180,7 @@ class RedwoodDataset(FolderDataset):
         for key in ("width", "height", "intrinsic_matrix"):
             require(key in table, f"{key} is missing", path=path)
         width, height = as_floats([table["width"], table["height"]], 2, path, "width and height")
+        require(np.isfinite((width, height)).all(), "width and height: not numbers", got=(width, height), path=path)
         K = as_floats(table["intrinsic_matrix"], 9, path, "intrinsic_matrix").reshape(3, 3).T
         return Stated(K, (round(width), round(height)), path=path)
 

@@ -300,7 +300,10 @@ def _exported(run: Run) -> Iterator[Prediction]:
 def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
     """The lines of one frame; masks stand at the first mention of an object."""
     frame = answers.context.frame
-    dropped = {name: tuple(_dropped(answers, name, len(answers.objects))) for name in answers.candidates}
+    known = [o.id for o in answers.objects]
+    own = min(known, default=0) >= 0
+    number = max(known, default=0) + 1 if own else len(known)
+    dropped = {name: tuple(_dropped(answers, name, number, own)) for name in answers.candidates}
     ids = _ids(answers.objects, max((p.id for found in dropped.values() for p in found), default=0))
     told: set[int] = set()
     for case in truth.cases:
@@ -360,8 +363,8 @@ def _given_box(box: Box3D | None) -> PredictedBox | None:
     return PredictedBox(center, size, R)  # type: ignore[arg-type]
 
 
-def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal]:
-    """Discarded detections for a name, with the reasons."""
+def _dropped(answers: FrameAnswers, name: str, number: int, own: bool) -> Iterator[Proposal]:
+    """Discarded detections for a name, with the reasons; with ids of their own, or from a number on."""
     source, frame = answers.source, answers.context.frame
     went = {answers.objects[k].bbox.tobytes() for k in answers.candidates[name].index.tolist()}
     seen = set(went)
@@ -373,7 +376,7 @@ def _dropped(answers: FrameAnswers, name: str, number: int) -> Iterator[Proposal
         for box, score, i in zip(found.boxes, found.scores.tolist(), found.ids.tolist(), strict=True):
             if box.tobytes() not in seen:
                 seen.add(box.tobytes())
-                yield Proposal(number + len(seen) if i < 0 else i, score, tuple(map(float, box)), dropped=reason)  # type: ignore[arg-type]
+                yield Proposal(i if own and i >= 0 else number + len(seen), score, tuple(map(float, box)), dropped=reason)  # type: ignore[arg-type]
 
 
 def judge_again(

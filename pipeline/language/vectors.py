@@ -22,7 +22,7 @@ from pipeline.language.noun_phrase import readable
 from pipeline.language.phrase_vectors import LanguageContract, VectorFile
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.frozen import dataclass
-from pipeline.system.safe_files import opened, opened_arrays
+from pipeline.system.safe_files import checked_texts, opened, opened_arrays
 
 __all__ = ["LanguageContract", "VectorFile", "open_vectors"]
 
@@ -148,7 +148,7 @@ def read_npz(path: Path) -> VectorTable:
             expected=f"vectors, and one of {', '.join(NAME_KEYS)}",
             path=path,
         )
-        kind = str(arrays["kind"].item()) if "kind" in keys else NAME_KEYS[present[0]]
+        kind = str(checked_texts(arrays["kind"]).item()) if "kind" in keys else NAME_KEYS[present[0]]
         names = _texts(arrays[present[0]], present[0], path)
         return _table(path, kind, names, arrays["vectors"])
 
@@ -162,9 +162,9 @@ def _texts(names: np.ndarray, key: str, path: Path) -> list[str]:
         path=path,
     )
     try:
-        return [n.decode("utf-8") for n in names.tolist()] if names.dtype.kind == "S" else names.tolist()
-    except UnicodeDecodeError as error:
-        raise InputError(f"the array {key!r} is not UTF-8", got=error, path=path) from error
+        return [n.decode("utf-8") for n in names.tolist()] if names.dtype.kind == "S" else checked_texts(names).tolist()
+    except ValueError as error:
+        raise InputError(f"the array {key!r} is not UTF-8 or other text", got=error, path=path) from error
 
 
 def _table(path: Path, kind: Any, names: Sequence[str], vectors: np.ndarray) -> VectorTable:

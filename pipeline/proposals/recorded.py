@@ -48,7 +48,7 @@ from pipeline.system.errors import FrameUnusable, InputError, as_input_error, fi
 from pipeline.system.frozen import dataclass
 from pipeline.system.reading import Content, checked, read_content
 from pipeline.system.recent import Recent
-from pipeline.system.safe_files import opened_arrays, read_picture
+from pipeline.system.safe_files import checked_texts, opened_arrays, read_picture
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""
@@ -399,7 +399,7 @@ def _read_labels(file: Path) -> list[str]:
     """Class names of a file, without decoding masks."""
     try:
         with opened_arrays(file) as data:
-            return np.asarray(data["labels"]).astype(np.str_).ravel().tolist()
+            return checked_texts(np.asarray(data["labels"])).ravel().tolist()
     except Exception:  # Whatever is wrong with the file is said in full where its detections are read.
         return []
 
@@ -421,10 +421,10 @@ def _read_npz(file: Path) -> FrameDetections:
     ):
         boxes = np.asarray(data["boxes"], np.float32)
         scores = np.asarray(data["scores"], np.float32)
-        labels = np.asarray(data["labels"]).astype(np.str_)
+        labels = checked_texts(np.asarray(data["labels"]))
         ids = np.asarray(data["ids"], np.int64) if "ids" in data else np.arange(len(scores))
         masks = np.asarray(data["masks"]).astype(np.bool_) if "masks" in data else None
-        counts = np.asarray(data["mask_counts"]).astype(np.str_) if "mask_counts" in data else None
+        counts = checked_texts(np.asarray(data["mask_counts"])) if "mask_counts" in data else None
         size = np.zeros(2, np.int64) if counts is None else np.asarray(data["mask_size"], np.int64)
     if boxes.size == 0:
         boxes = boxes.reshape(0, 4)

@@ -277,5 +277,5 @@ def _numbers(array: np.ndarray) -> list[float]:
 
 
 def _write(path: Path, image: np.ndarray, options: list[int]) -> None:
-    if not cv2.imwrite(str(path), image, options):
-        raise OSError(f"could not write {path}")
+    # OpenCV's own writing does not say why it cannot.
+    path.write_bytes(cv2.imencode(path.suffix, image, options)[1])

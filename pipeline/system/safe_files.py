@@ -13,6 +13,7 @@ import math
 import os
 import re
 import stat
+import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -354,6 +355,17 @@ def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
         within(math.prod(shape), "pixels", f"an array of {'x'.join(map(str, shape))}", path, limits_of(path))
     file.seek(0)
     return np.load(file, allow_pickle=False)
+
+
+def checked_texts(array: np.ndarray) -> np.ndarray:
+    """An array as text, (...) of unicode; ValueError where a code point is no character.
+
+    NumPy gives such a text to Python, which fails wherever it is first used.
+    """
+    texts = array.astype(np.str_)
+    if texts.size and np.ascontiguousarray(texts).reshape(-1, 1).view(np.uint32).max(initial=0) > sys.maxunicode:
+        raise ValueError("a text holds what is no character")
+    return texts
 
 
 @contextmanager

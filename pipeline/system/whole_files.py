@@ -27,6 +27,7 @@ if sys.platform != "win32":
 
 _ALONE = Lock()
 _TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]*)\.(?P<pid>\d+)\.[0-9a-f]{8}\.tmp")
+_CLEARED: set[Path] = set()
 _ABANDONED_S = 86_400
 """A temporary name of another machine counts as left behind when it is as old as this."""
 
@@ -50,6 +51,13 @@ def clear_abandoned(folder: Path, ours: bool = True) -> None:
         else:
             with suppress(OSError):
                 left.unlink(missing_ok=True)
+
+
+def _clear_once(folder: Path) -> None:
+    """Remove leftovers of killed writers, once for each folder: listing a large one takes its time."""
+    if folder not in _CLEARED:
+        _CLEARED.add(folder)
+        clear_abandoned(folder, ours=False)
 
 
 def _of_this_machine(temporary: Path) -> re.Match[str] | None:
@@ -113,6 +121,7 @@ def whole_file(path: Path, what: str, make_folder: bool = True) -> Iterator[Path
         try:
             if make_folder:
                 path.parent.mkdir(parents=True, exist_ok=True)
+            _clear_once(path.parent)
             yield temporary
             os.replace(temporary, path)
         finally:
@@ -126,7 +135,6 @@ def file_with_companions(out: Path) -> Iterator[Path]:
 
     The file itself comes last, and an earlier one goes first: either has its companions, also after a kill.
     """
-    clear_abandoned(out.parent, ours=False)
     with temporary_folder(out) as folder:
         yield folder / out.name
         files = sorted((file for file in folder.iterdir() if file.is_file()), key=lambda file: file.name == out.name)
@@ -152,6 +160,7 @@ def temporary_folder(path: Path, mode: int = 0o777) -> Iterator[Path]:
     """Make a folder under a hidden name beside `path`, removed at the end of the block."""
     folder = temporary_sibling(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    _clear_once(path.parent)
     folder.mkdir(mode)
     try:
         yield folder

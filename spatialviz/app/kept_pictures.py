@@ -30,6 +30,12 @@ class Images:
                 self._bytes -= len(self._kept.popitem(last=False)[1])
         return f"app/image/{name}"
 
+    def let_go(self) -> None:
+        """Drop all pictures: nobody shows them."""
+        with self._lock:
+            self._kept.clear()
+            self._bytes = 0
+
     def get(self, name: str) -> bytes | None:
         with self._lock:
             return self._kept.get(name)

@@ -296,6 +296,7 @@ class Pages:
         if over:
             if not self._sessions:
                 self._shared.result().store.let_go()
+                IMAGES.let_go()
             loop = asyncio.get_running_loop()
             loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, collect)
 

@@ -6,11 +6,11 @@ import random
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from journal_damage import HARM, PAGE, Parts, flipped, parts_of, placed
 from journal_world import work_of
 from waiting import LONG_S
 
@@ -18,10 +18,6 @@ from pipeline.corrections import JOURNAL_FILE, DamagedJournal, Edit, Event, Save
 from pipeline.corrections.journal import sqlite_file
 from pipeline.corrections.journal.examining import examine
 from pipeline.corrections.journal.sqlite_file import lost_in_log
-
-Parts = dict[str, bytearray]
-"""The files of a journal by the ends of their names: "", "-wal", "-shm"."""
-PAGE = 4096
 
 
 @pytest.fixture(scope="module")
@@ -38,45 +34,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Parts], t
 @pytest.fixture(autouse=True)
 def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqlite_file, "_PAUSE_S", 0.0)
-
-
-def parts_of(path: Path) -> Parts:
-    found = {end: Path(f"{path}{end}") for end in ("", "-wal", "-shm")}
-    return {end: bytearray(file.read_bytes()) for end, file in found.items() if file.exists()}
-
-
-def placed(parts: Parts, folder: Path) -> Path:
-    path = folder / JOURNAL_FILE
-    for end, data in parts.items():
-        Path(f"{path}{end}").write_bytes(data)
-    return path
-
-
-def flipped(data: bytearray, rng: random.Random, first: int = 0, stop: int | None = None) -> None:
-    data[rng.randrange(first, stop or len(data))] ^= 1 << rng.randrange(8)
-
-
-def zeroed(data: bytearray, rng: random.Random) -> None:
-    at = PAGE * rng.randrange(len(data) // PAGE)
-    data[at : at + PAGE] = bytes(PAGE)
-
-
-def cut(data: bytearray, rng: random.Random) -> None:
-    del data[rng.randrange(1, len(data)) :]
-
-
-HARM: dict[str, tuple[str, Callable[[Parts, random.Random], None]]] = {
-    "a bit": ("closed", lambda parts, rng: flipped(parts[""], rng, PAGE)),
-    "a bit under a log": ("open", lambda parts, rng: flipped(parts[""], rng)),
-    "a bit of the header": ("closed", lambda parts, rng: flipped(parts[""], rng, 0, 100)),
-    "a bit of the schema": ("closed", lambda parts, rng: flipped(parts[""], rng, 100, PAGE)),
-    "a page": ("closed", lambda parts, rng: zeroed(parts[""], rng)),
-    "the end": ("closed", lambda parts, rng: cut(parts[""], rng)),
-    "a bit of the log": ("open", lambda parts, rng: flipped(parts["-wal"], rng)),
-    "a page of the log": ("open", lambda parts, rng: zeroed(parts["-wal"], rng)),
-    "the end of the log": ("open", lambda parts, rng: cut(parts["-wal"], rng)),
-    "a bit of the log's index": ("open", lambda parts, rng: flipped(parts["-shm"], rng, 0, 200)),
-}
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -103,6 +103,14 @@ def test_a_run_of_ours_comes_back_record_for_record(folder: Path) -> None:
     assert next(iter(diagnoses[0].values())) == next(iter(diagnoses[1].values()))
 
 
+def test_one_thing_found_by_two_names_has_a_number_for_each(folder: Path, tmp_path: Path) -> None:
+    # The simulated detector gives both the id of the thing, and their classes give them different boxes.
+    spec = EvalSpec("demo", str(folder / "labels"), {"detector": "simulated"}, limit=60)
+    evaluate_dataset(spec, tmp_path / "run", plots=False)
+    export_run(open_run(tmp_path / "run"), tmp_path / "run.jsonl")
+    assert len(read_predictions(tmp_path / "run.jsonl").lines) == 60
+
+
 def test_the_run_keeps_what_it_was_made_of(folder: Path) -> None:
     run = open_run(folder / "again")
     assert run.manifest["spec"]["options"] == {"predictions": "predictions.jsonl"} | {

@@ -232,3 +232,10 @@ def test_a_damaged_array_file_is_refused(tmp_path: Path, frame: Frame, damage: s
 def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no recording"):
         RecordedDetector(tmp_path / "none.json")
+
+
+def test_arrays_with_text_that_is_none_are_refused(tmp_path: Path, frame: Frame) -> None:
+    labels = np.full(1, 0x7FFFFFFF, np.uint32).view("<U1")
+    np.savez(tmp_path / "scene__0.npz", boxes=np.zeros((1, 4)), scores=np.ones(1), labels=labels)
+    with pytest.raises(InputError, match="no character"):
+        RecordedDetector(tmp_path).detect(frame, ["mug"])

@@ -21,6 +21,7 @@ from pipeline.system.whole_files import (
     file_with_companions,
     scratch_folder,
     staged_folder,
+    temporary_folder,
     temporary_sibling,
     text_file,
     whole_file,
@@ -143,6 +144,22 @@ def test_what_a_killed_process_left_goes_at_the_next_start(tmp_path: Path, monke
     with scratch_folder():
         assert not left.exists()
     assert list(tmp_path.iterdir()) == [others]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="whether a process is there is asked on POSIX")
+@pytest.mark.parametrize("write", [in_file, lambda path: temporary_folder(path).__enter__()])
+def test_what_a_killed_writer_left_goes_with_the_next_one(write: Callable[[Path], Any], tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path\n"
+        "from pipeline.system.whole_files import temporary_folder, whole_file\n"
+        "with whole_file(Path(sys.argv[1]), 'it') as file, temporary_folder(Path(sys.argv[1])):\n"
+        "    file.write_text('half'); os.kill(os.getpid(), 9)"
+    )
+    assert subprocess.run([sys.executable, "-c", code, tmp_path / "out"], check=False).returncode == -9
+    left = set(tmp_path.iterdir())
+    assert len(left) == 2
+    write(tmp_path / "out")
+    assert not left & set(tmp_path.iterdir())
 
 
 def test_in_a_folder_of_others_only_what_is_known_to_be_left_goes(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
@@ -64,7 +63,7 @@ from pipeline.system.errors import InputError, as_input_error, needed, require
 from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import read_bytes
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
+from pipeline.system.whole_files import sha256_of, temporary_folder, write_synced, write_whole
 
 
 def save_case(
@@ -183,10 +182,10 @@ def save_case(
 
 def _write_whole(folder: Path, files: dict[str, bytes], pipeline: Pipeline, record: dict[str, Any]) -> None:
     """Write beside the folder, replay, and rename."""
-    partial = temporary_sibling(folder)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        partial.mkdir()
+    with (
+        as_input_error("the case cannot be written", OSError, got=lambda error: error.strerror, path=folder),
+        temporary_folder(folder) as partial,
+    ):
         for file, data in files.items():
             write_synced(partial / file, data)
         opened = open_case(partial, scorer=None if pipeline.predictions is not None else pipeline.scorer)
@@ -205,10 +204,6 @@ def _write_whole(folder: Path, files: dict[str, bytes], pipeline: Pipeline, reco
         if folder.exists():
             folder.rmdir()
         os.replace(partial, folder)
-    except OSError as error:
-        raise InputError("the case cannot be written", got=error.strerror, path=folder) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _proposals(pipeline: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
