@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.evaluation.adapters import import_published
-from pipeline.evaluation.importing import export_run, judge_again
+from pipeline.evaluation.exporting import export_run
+from pipeline.evaluation.importing import judge_again
 from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.run_folder import open_run
 from pipeline.evaluation.systems import PREDICTIONS_FILE

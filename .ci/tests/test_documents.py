@@ -34,7 +34,7 @@ def test_links_between_documents_lead_somewhere() -> None:
         (d, link, anchor)
         for d in DOCUMENTS
         for link, anchor in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", d.read_text())
-        if "://" not in link
+        if "://" not in link and not link.startswith("reference/")  # made when the site is built, and checked there
     ]
     assert len(links) > 5
     gone = [(d.name, link) for d, link, _ in links if not (d.parent / link).exists()]

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from pipeline.evaluation.adapters import import_published
     from pipeline.evaluation.browsing import RunRows, complete, with_value
     from pipeline.evaluation.comparing import CHANGES, answer_differences, compare
-    from pipeline.evaluation.importing import export_run, import_run, judge_again
+    from pipeline.evaluation.exporting import export_run
+    from pipeline.evaluation.importing import import_run, judge_again
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.leakage import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
     from pipeline.evaluation.records import read_records
