@@ -263,6 +263,7 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
 
 
 def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
+    pytest.importorskip("torch")
     cells = read_relation_labels(demo_labels)
     some = np.flatnonzero(cells.states[:, 0] != 0)[::3]
     keys = [ItemKey(str(cells.frame[r]), "relation", int(cells.a[r]), int(cells.b[r]), "left") for r in some]
