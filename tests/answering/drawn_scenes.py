@@ -198,8 +198,8 @@ def page() -> str:
     lines = [
         "# Which one is meant",
         "",
-        "*The leftmost mug*, *the second from the left*, *the taller of the two*: this page draws which thing each such "
-        "wording means.",
+        "*The leftmost mug*, *the second from the left*, *the taller of the two*: this page draws which thing each "
+        "such wording means.",
         "",
         "Sides, corners, ordinals and what is leftmost are those of the picture; distance, height and size are judged",
         "in 3D. Each scene is drawn from above, the camera `^` below the plan, and as the picture shows it, with what",
