@@ -172,7 +172,8 @@ class Page:
 def _wrong(ran: Ran, command: Command, may_say_no: tuple[str, ...], verb: str = "") -> str:
     if ran.wrong or ran.status == command.status or (ran.status == 1 and verb in may_say_no):
         return ran.wrong
-    return f"exit status {ran.status}: {(ran.err.strip() or ran.out.strip()).splitlines()[-1:]}"
+    said = [line for line in (ran.err.strip() or ran.out).splitlines() if re.search(r"\w", line)]
+    return f"exit status {ran.status}: {' '.join(said[-1:])}"
 
 
 def _follow(page: Path, world: Path, folder: Path) -> None:
