@@ -307,6 +307,10 @@ def _status(arguments: list[str]) -> int:
     except BrokenPipeError:
         raise
     except Exception as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            # Python 3.11 and older wrap what comes while a class is made, as in a library that loads.
+            warn("stopped")
+            return INTERRUPTED
         if os.environ.get("SPATIALVIZ_DEBUG") and not isinstance(error, TOLD):
             raise
         warn(error_line(error))

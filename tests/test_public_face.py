@@ -122,6 +122,8 @@ def test_what_if_answers_again_under_edits(opened: pipeline.Opened) -> None:
     assert (after.edits, after.verdict == "CORRECT") == (edits, False)
     with pytest.raises(pipeline.InputError, match="does not know what answered it"):
         pipeline.Answer(before.text, before.trace).what_if(edits)
+    with pytest.raises(pipeline.InputError, match="edits are no mapping"):
+        before.what_if(["#3"])  # type: ignore[arg-type]
 
 
 def test_an_expression_that_could_not_be_asked_is_an_answer_without_a_trace() -> None:

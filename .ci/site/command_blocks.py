@@ -26,6 +26,8 @@ REASONS = {
 }
 """Why a block may stand without being run."""
 NOT_RUN = re.compile(r"<!-- not run: (.*?) -->")
+IN_PAGE = re.compile(r"<!-- in the page: (spatialviz .*?) -->")
+"""What readers do in the browser at this place, as a command that does the same."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ def blocks_of(page: Path) -> Iterator[Block]:
     while at < len(lines):
         opened = re.match(r"( *)```(\w*)", lines[at])
         if opened is None:
+            if done := IN_PAGE.fullmatch(lines[at].strip()):
+                yield Block(at + 1, "sh", done[1], None)
             at += 1
             continue
         indent, language = opened.groups()

@@ -63,7 +63,8 @@ def _files() -> None:
     from pipeline.diagnosis import Edits, edits_record
 
     shutil.copytree(demo_path(), "DATASET", ignore=shutil.ignore_patterns("000003", "000004"))
-    for name in ("docs", "recording/color", "recording/depth", "pictures"):
+    shutil.copytree(ROOT / "docs" / "gallery", "docs/gallery")
+    for name in ("recording/color", "recording/depth", "pictures"):
         Path(name).mkdir(parents=True)
     shutil.copy(ROOT / "docs" / "bench.json", "docs")
     dataset = open_dataset("DATASET")

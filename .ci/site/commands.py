@@ -39,7 +39,6 @@ NO_IS_AN_ANSWER = ("ask", "bench", "check", "doctor", "failures")
 """Commands whose exit status 1 says something of the data, which are not the reader's here."""
 SHORTER = {
     ("bench",): "--quick --only start.help",
-    ("render",): "--width 160 --height 120",
     ("retrain",): "--epochs 1",
     ("train",): "--epochs 1",
     ("train", "rooms"): "--rooms 10 --views 1 --width 160 --height 120 --members 1",

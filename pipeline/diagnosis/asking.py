@@ -202,6 +202,9 @@ def pathless_edits(edits: Edited) -> Edits:
     """Edits of JSON naming no file; InputError otherwise."""
     from pipeline.diagnosis.whatif import read_edits
 
+    require(
+        isinstance(edits, Mapping), "edits are no mapping", got=type(edits).__name__, expected='such as {"hidden": ["#3"]}'
+    )
     read = read_edits(dict(edits))
     require(
         is_named(read.scorer),

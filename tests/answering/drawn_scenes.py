@@ -198,13 +198,8 @@ def page() -> str:
     lines = [
         "# Which one is meant",
         "",
-<<<<<<< HEAD
-        "*The leftmost mug*, *the second from the left*, *the taller of the two*: this page draws which thing each such"
-        " wording means.",
-=======
         "*The leftmost mug*, *the second from the left*, *the taller of the two*: this page draws which thing each "
         "such wording means.",
->>>>>>> aaaaf6ac0b745c1604e3c932fae3e2519ef3ad8c
         "",
         "Sides, corners, ordinals and what is leftmost are those of the picture; distance, height and size are judged",
         "in 3D. Each scene is drawn from above, the camera `^` below the plan, and as the picture shows it, with what",
