@@ -20,7 +20,7 @@ from pipeline.corrections.journal import batch, chain, events, field_refs
 from pipeline.datasets import saved_case, settings
 from pipeline.datasets.demo import demo_run
 from pipeline.datasets.depth.contract import DepthContract
-from pipeline.diagnosis import answer, marks
+from pipeline.diagnosis import answer, story_words, marks
 from pipeline.diagnosis.cases import manifest
 from pipeline.diagnosis.whatif import edits, state
 from pipeline.evaluation import job, records
@@ -273,7 +273,7 @@ PARTS_OF_ANSWERS = {
     "viewer": ("viewer", (json_records, ("viewer_record",))),
     "ranking": ("ranking", (json_records, ("trace_record",))),
     "stages": ("stages", (answer, ("Stage.record",))),
-    "verdict": ("verdict", (answer, ("story_record",)), (answer, ("diagnosis_record",))),
+    "verdict": ("verdict", (story_words, ("story_record",)), (answer, ("diagnosis_record",))),
     "needed": ("verdict.needed", (answer, ("_needed_record",))),
 }
 """Parts of `ask --json`: where each stands, and the functions whose keys it has."""

@@ -17,7 +17,7 @@ from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.datasets.plausible import depth_doubt
 from pipeline.diagnosis.oracles import RECALL, names_of
 from pipeline.diagnosis.story import unjudged_story
-from pipeline.diagnosis.story_words import Story
+from pipeline.diagnosis.story_words import Story, story_record
 from pipeline.diagnosis.verdict import MODULE_OF, NOT_SEEN, Diagnosis, FactorRepair, Unseen
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
@@ -429,19 +429,6 @@ def _needed_record(n: FactorRepair) -> dict[str, Any]:
         "winner": round(n.winner, 6),  # What it is of the answer's pair
         "right_above": _rounded(n.right_above),  # The first would have to be above; null where nothing helps
         "winner_below": _rounded(n.winner_below),  # Or the second below
-    }
-
-
-def story_record(told: Story) -> dict[str, Any]:
-    """Story as in `ask --json`: the mend with the number that a what-if would change, or null."""
-    change = None if told.change is None else asdict(told.change)
-    mend = {"said": told.mend, "change": change} if told.mend else None
-    return {
-        "head": told.head,  # Right or wrong, in a few words
-        "tone": told.tone,  # good, doubt, bad or none
-        "kind": told.kind,  # Of what is said
-        "said": told.sentence,  # Why, in a sentence
-        "mend": mend,  # Smallest change that helps: said, change; null where none is known
     }
 
 

@@ -203,7 +203,10 @@ def pathless_edits(edits: Edited) -> Edits:
     from pipeline.diagnosis.whatif import read_edits
 
     require(
-        isinstance(edits, Mapping), "edits are no mapping", got=type(edits).__name__, expected='such as {"hidden": ["#3"]}'
+        isinstance(edits, Mapping),
+        "edits are no mapping",
+        got=type(edits).__name__,
+        expected='such as {"hidden": ["#3"]}',
     )
     read = read_edits(dict(edits))
     require(

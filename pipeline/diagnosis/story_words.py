@@ -8,6 +8,7 @@ spoken of, `really` what it is; `ours`, `theirs`: a number of the answer and of 
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from string import Formatter
@@ -86,3 +87,16 @@ def values_of(template: str) -> set[str]:
 def capital(text: str) -> str:
     """Text with a capital first letter."""
     return text[:1].upper() + text[1:]
+
+
+def story_record(told: Story) -> dict[str, Any]:
+    """Story as in `ask --json`: the mend with the number that a what-if would change, or null."""
+    change = None if told.change is None else asdict(told.change)
+    mend = {"said": told.mend, "change": change} if told.mend else None
+    return {
+        "head": told.head,  # Right or wrong, in a few words
+        "tone": told.tone,  # good, doubt, bad or none
+        "kind": told.kind,  # Of what is said
+        "said": told.sentence,  # Why, in a sentence
+        "mend": mend,  # Smallest change that helps: said, change; null where none is known
+    }
