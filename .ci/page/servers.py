@@ -35,9 +35,7 @@ class Server:
         Where its data stand, and what the page writes about them.
     """
 
-    def __init__(
-        self, *words: object, port: int = 0, folder: Path = Path(), env: dict[str, str] | None = None
-    ) -> None:
+    def __init__(self, *words: object, port: int = 0, folder: Path = Path(), env: dict[str, str] | None = None) -> None:
         self.folder = folder
         self.port = port or free_port()
         self.address = f"http://127.0.0.1:{self.port}"
