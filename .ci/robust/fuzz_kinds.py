@@ -237,7 +237,9 @@ def _texts(world: World) -> dict[str, FileKind | TextKind]:
     return {
         "expression": TextKind([QUESTION], GRAMMARS["sentence"], ("ask", str(world.dataset), "0", "{}")),
         "query": TextKind(
-            ["select 1"], GRAMMARS["query"], ("query", str(world.run), "{}", "--limits", "query=200M,query_seconds=5")
+            ["select verdict, count(*) from records group by verdict"],
+            GRAMMARS["query"],
+            ("query", str(world.run), "{}", "--limits", "query=200M,query_seconds=5"),
         ),
         "search": TextKind(
             ["verdict:OPM-CONF relation:left"], GRAMMARS["sentence"], ("failures", str(world.run), "{}")

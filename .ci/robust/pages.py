@@ -339,11 +339,14 @@ class Idle:
             self.end()
 
     def end(self) -> None:
+        if not self._loop.is_running():
+            return
         with contextlib.suppress(Exception):
             self._do(self._client.close())
         with contextlib.suppress(subprocess.TimeoutExpired, AssertionError):
             self._server.end()
         self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
 
 
 SCENARIOS: dict[str, Callable[[World, random.Random, Kind], None]] = {
