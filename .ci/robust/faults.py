@@ -53,7 +53,7 @@ def main() -> int:
 
         idle = pages.Idle() if IDLE in names else None
         try:
-            rounds([name for name in names if name != IDLE], given.seconds, begin)
+            rounds([name for name in names if name != IDLE], given, begin)
             if idle is not None:
                 with tally.watching(IDLE) as kind:
                     idle.look(kind)

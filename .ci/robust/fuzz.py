@@ -87,7 +87,7 @@ def main() -> int:
             if given.number is not None:
                 one(names[0], given.number)
             else:
-                rounds(names, given.seconds, begin)
+                rounds(names, given, begin)
         finally:
             worker.end()
             if server is not None:

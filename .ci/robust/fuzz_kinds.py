@@ -55,17 +55,26 @@ def _pictures(folder: Path) -> dict[str, Path]:
     import cv2
 
     made = {}
-    for ending in (".png", ".jpg", ".tiff", ".bmp", ".webp", ".exr"):
+    for ending in (".png", ".jpg", ".tiff", ".bmp", ".webp"):
         root = folder / ending[1:]
         write_folder(root, [1, 2])
-        for file in sorted((root / ("depth" if ending == ".exr" else "rgb")).iterdir()):
+        for file in sorted((root / "rgb").iterdir()):
             image: Any = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
             file.unlink()
-            with suppress(cv2.error):
-                cv2.imwrite(
-                    str(file.with_suffix(ending)), image.astype(np.float32) / 1000 if ending == ".exr" else image
-                )
+            cv2.imwrite(str(file.with_suffix(ending)), image)
         made[ending[1:]] = root
+    with suppress(ImportError):
+        import OpenEXR  # type: ignore[import-not-found]
+
+        root = made["exr"] = folder / "exr"
+        write_folder(root, [1, 2])
+        for file in sorted((root / "depth").iterdir()):
+            depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            assert depth is not None
+            file.unlink()
+            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            with OpenEXR.File(header, {"Z": depth.astype(np.float32) / 1000}) as image:
+                image.write(str(file.with_suffix(".exr")))
     return made
 
 
@@ -228,7 +237,9 @@ def _texts(world: World) -> dict[str, FileKind | TextKind]:
     return {
         "expression": TextKind([QUESTION], GRAMMARS["sentence"], ("ask", str(world.dataset), "0", "{}")),
         "query": TextKind(
-            ["select 1"], GRAMMARS["query"], ("query", str(world.run), "{}", "--limits", "query=200M,query_seconds=5")
+            ["select verdict, count(*) from records group by verdict"],
+            GRAMMARS["query"],
+            ("query", str(world.run), "{}", "--limits", "query=200M,query_seconds=5"),
         ),
         "search": TextKind(
             ["verdict:OPM-CONF relation:left"], GRAMMARS["sentence"], ("failures", str(world.run), "{}")
@@ -266,7 +277,7 @@ def harmed_copy(kind: FileKind, folder: Path, rng: random.Random) -> list[str]:
     """A copy of the seed with one to three files harmed; their names."""
     shutil.copytree(kind.folder, folder)
     files = sorted(f for f in folder.rglob(kind.harmed) if f.is_file())
-    names = []
+    names, other = [], rng.choice(files).read_bytes()
     for file in rng.sample(files, min(len(files), rng.choice((1, 1, 1, 2, 3)))):
         names.append(str(file.relative_to(folder)))
         if rng.random() < 0.03:
@@ -276,7 +287,7 @@ def harmed_copy(kind: FileKind, folder: Path, rng: random.Random) -> list[str]:
             else:
                 file.mkdir()
             continue
-        file.write_bytes(mutated(file.name, file.read_bytes(), rng, rng.choice(files).read_bytes()))
+        file.write_bytes(mutated(file.name, file.read_bytes(), rng, other))
     return names
 
 

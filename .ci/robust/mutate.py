@@ -204,11 +204,34 @@ def view_string(content: str, rng: random.Random) -> str:
     return "sv1:" + base64.urlsafe_b64encode(made).decode().rstrip("=")
 
 
-def sentence(_: str, rng: random.Random) -> str:
+def sentence(given: str, rng: random.Random) -> str:
+    if rng.random() < 0.5:
+        # One word of a sentence that is understood is another.
+        words = given.split()
+        words[rng.randrange(len(words))] = rng.choice(WORDS)
+        return " ".join(words)
     return " ".join(rng.choice(WORDS) for _ in range(rng.choice((1, 3, 5, 8, 12, 400))))
 
 
-def query(_: str, rng: random.Random) -> str:
+COLUMNS = ("*", "count(*)", "list(text)", "md5(text)", "repeat(text, 3000000)", "getenv('HOME')", "hash(text)", "text")
+TABLES = (
+    "records", "labels_objects", "(select text from records)", "range(900000000) t(text)", "read_csv('/etc/passwd')",
+    "records a cross join records b cross join records c cross join range(1000000)", "glob('/*')", "duckdb_settings()",
+)  # fmt: skip
+TAILS = (
+    "",
+    "limit 5",
+    "order by 1",
+    "group by all",
+    "where regexp_matches(text, '(a*)*b')",
+    "where text < '\x7f'",
+    ";;",
+)
+
+
+def query(given: str, rng: random.Random) -> str:
+    if rng.random() < 0.6:
+        return f"select {rng.choice(COLUMNS)} from {rng.choice(TABLES)} {rng.choice(TAILS)}"
     words = ["select", *(rng.choice(SQL) for _ in range(rng.randint(1, 6)))]
     return " ".join(words)
 

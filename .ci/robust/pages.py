@@ -32,8 +32,8 @@ from spatialviz.bench_page import Client
 ANSWERED = 60.0
 BACK_WITHIN = 0.2
 """Share of its memory at the start by which a server may be larger after its clients have gone."""
-PATIENCE = 90.0
-"""Seconds in which it gives memory back."""
+FORGOTTEN, PATIENCE = 55.0, 120.0
+"""Seconds after which a page that has gone is forgotten, and in which memory is given back."""
 
 
 @contextlib.contextmanager
@@ -244,9 +244,9 @@ def clients(world: World, rng: random.Random, kind: Kind) -> None:
     count = rng.choice((6, 12, 20))
     with served() as server:
         pid = server.process.pid
-        # The first page loads what every page needs: that is the start.
+        # The first page loads what every page needs: the start is when it has gone and is forgotten.
         asyncio.run(load_page.run(server.port, pid, 1, 12.0, 1.0))
-        time.sleep(10)
+        time.sleep(FORGOTTEN)
         start = load_page.resident_mb(pid)
         figures = asyncio.run(load_page.run(server.port, pid, count, 25.0, 2.0))
         most, now, until = max(mb for _, mb in figures.memory), 0.0, time.monotonic() + PATIENCE
@@ -339,11 +339,14 @@ class Idle:
             self.end()
 
     def end(self) -> None:
+        if not self._loop.is_running():
+            return
         with contextlib.suppress(Exception):
             self._do(self._client.close())
         with contextlib.suppress(subprocess.TimeoutExpired, AssertionError):
             self._server.end()
         self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
 
 
 SCENARIOS: dict[str, Callable[[World, random.Random, Kind], None]] = {

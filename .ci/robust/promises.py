@@ -134,12 +134,16 @@ def chosen(kinds: Mapping[str, Any], only: str) -> list[str]:
     return [name for name in kinds if not words or name.startswith(tuple(words))]
 
 
-def rounds(names: list[str], seconds: float, begin: Callable[[str, int], None]) -> None:
-    """Begin each kind in turn, each at least once, until the time is over."""
-    until, number = time.monotonic() + seconds, 0
+def rounds(names: list[str], given: argparse.Namespace, begin: Callable[[str, int], None]) -> None:
+    """Begin each kind in turn until the time is over, those that `--only` names at least once.
+
+    The seed shuffles them: where the time is too short for all, another seed begins with others.
+    """
+    until, number = time.monotonic() + given.seconds, 0
+    names = random.Random(given.seed).sample(names, len(names))
     while True:
         for name in names:
-            if number and time.monotonic() >= until:
+            if (number or not given.only) and time.monotonic() >= until:
                 return
             begin(name, number)
         number += 1

@@ -160,7 +160,9 @@ def read_one(kind: FileKind | TextKind, rng: random.Random, folder: Path, watch:
     return Verdict(result, broken, grown, seconds, tuple(words))
 
 
-def _work(kinds: dict[str, FileKind | TextKind], home: Path, allowed: tuple[str, ...], pipe: Any) -> None:
+def _work(kinds: dict[str, FileKind | TextKind], home: Path, allowed: tuple[str, ...], pipe: Any, theirs: Any) -> None:
+    # Else the end of the runner would not be heard here.
+    theirs.close()
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 2)
     if sys.platform == "linux":
@@ -172,7 +174,10 @@ def _work(kinds: dict[str, FileKind | TextKind], home: Path, allowed: tuple[str,
         resource.setrlimit(resource.RLIMIT_DATA, (held + MEMORY, held + MEMORY))
     watch = Watch(allowed)
     while True:
-        name, seed = pipe.recv()
+        try:
+            name, seed = pipe.recv()
+        except EOFError:
+            return
         folder = scratch(home)
         pipe.send(folder)
         try:
@@ -192,7 +197,10 @@ class Worker:
     def _start(self) -> None:
         context = multiprocessing.get_context("fork")
         self._pipe, theirs = context.Pipe()
-        self._process, self._read = context.Process(target=_work, args=(*self._given, theirs), daemon=True), 0
+        self._process, self._read = (
+            context.Process(target=_work, args=(*self._given, theirs, self._pipe), daemon=True),
+            0,
+        )
         self._process.start()
         theirs.close()
 

@@ -11,7 +11,7 @@ from pipeline.bench.table import renewed
 from pipeline.relations.pair_measures import Profile
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = [*(ROOT / "docs").glob("*.md"), ROOT / ".github" / "CONTRIBUTING.md", ROOT / "README.md"]
+DOCUMENTS = [*(ROOT / "docs").glob("*.md"), *(ROOT / ".github").glob("*.md"), ROOT / "README.md"]
 
 
 def test_files_that_documents_name_are_there() -> None:

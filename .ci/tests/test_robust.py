@@ -26,7 +26,7 @@ def test_promises_hold(runner: str, kinds: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     record = json.loads((tmp_path / "out.json").read_text())
     assert record["times"] > 0
-    assert len(record["kinds"]) == len(kinds.split(",")) + (runner == "fuzz.py")
+    assert len(record["kinds"]) >= len(kinds.split(","))
 
 
 def test_a_broken_promise_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -73,6 +73,8 @@ class LoadedFrame:
     up_hint: UpHint | None = None  # What was said of up since the program began
     doubt: str = ""  # What speaks against its depth, with the command that looks into it; empty where nothing does
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
+    photos: Recent[Hashable, bytes] = field(default_factory=lambda: Recent(4), repr=False, compare=False)
+    """Its last pictures as JPEG, by their colours: they go with it."""
     _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
         default_factory=WeakValueDictionary, repr=False, compare=False
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import json
 import re
-import zipfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -20,7 +19,7 @@ import xxhash
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
 from pipeline.language.phrase_vectors import LanguageContract, VectorFile
-from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.errors import InputError, as_input_error, first_line, require
 from pipeline.system.frozen import dataclass
 from pipeline.system.safe_files import checked_texts, opened, opened_arrays
 
@@ -133,10 +132,9 @@ def read_npz(path: Path) -> VectorTable:
 
     InputError where the file is damaged, lacks an array, holds Python objects, or its arrays do not fit each other.
     """
-    # Damaged bytes fail in zipfile, zlib or numpy, each with its own class.
-    failures = (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+    # Damaged bytes fail in zipfile, zlib, numpy or the tokenizer that it uses, each with its own class.
     with (
-        as_input_error("the file of text vectors cannot be read", *failures, got=str, path=path),
+        as_input_error("the file of text vectors cannot be read", Exception, got=first_line, path=path),
         opened_arrays(path) as arrays,
     ):
         keys = getattr(arrays, "files", [])

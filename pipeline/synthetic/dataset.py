@@ -278,4 +278,4 @@ def _numbers(array: np.ndarray) -> list[float]:
 
 def _write(path: Path, image: np.ndarray, options: list[int]) -> None:
     # OpenCV's own writing does not say why it cannot.
-    path.write_bytes(cv2.imencode(path.suffix, image, options)[1])
+    path.write_bytes(cv2.imencode(path.suffix, image, options)[1].tobytes())

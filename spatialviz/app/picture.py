@@ -16,7 +16,6 @@ from pipeline.geometry.masks import decode_crop, outlines
 from pipeline.geometry.palette import DROPPED, ON_DARK, RGB, depth_colors, depth_ends, hex_color, ink, instance_colors
 from pipeline.pictures.marks import TINT, edges_path, outline_path
 from pipeline.system.encoded_pictures import jpeg
-from pipeline.system.recent import Recent
 from spatialviz.app.frames import png_url, thumb_url
 from spatialviz.app.kept_pictures import IMAGES
 from spatialviz.app.markup import Child, Element, dot, h, heading, named, note, panel, score_text, term, words
@@ -54,21 +53,17 @@ def image_html(state: State) -> Element:
     )
 
 
-_photos = Recent[tuple[object, ...], tuple[LoadedFrame, bytes]](8)
-"""Pictures as JPEG; what a key names is kept with its picture."""
-
-
 def _photo_url(state: State, loaded: LoadedFrame) -> str:
     """Address of the frame's picture in the chosen colours; the last few are not made again."""
     frame, plain = loaded.context.frame, state.colors == "rgb"
-    key = (id(loaded), state.colors, *(() if plain else (state.dark, *state.roles.items())))
+    key = (state.colors, *(() if plain else (state.dark, *state.roles.items())))
 
-    def make() -> tuple[LoadedFrame, bytes]:
+    def make() -> bytes:
         colors = frame_colors(state.colors, frame, loaded.objects, state.roles, state.dark)
         step = max(1, round(frame.width / IMAGE_WIDTH))
-        return loaded, jpeg(colors[::step, ::step])
+        return jpeg(colors[::step, ::step])
 
-    return IMAGES.url(_photos.get(key, make)[1], "jpg")
+    return IMAGES.url(loaded.photos.get(key, make), "jpg")
 
 
 def _svg(frame: Frame, marks: Child, name: str) -> Element:

@@ -70,6 +70,8 @@ ROWS = npy_bytes(np.ones((2, 3), np.float32))
         ({"words": NAMES, "vectors": npy_bytes(np.ones((2, 3)), shape=(10**12, 300))}, "too large"),
         ({"words": NAMES, "vectors": ROWS[:-4]}, "cannot be read"),
         ({"words": NAMES, "vectors": b"no array"}, "cannot be read"),
+        # A TokenError of Python's tokenizer, by which NumPy reads it.
+        ({"words": NAMES.replace(b"{'descr'", b"(" * 8), "vectors": ROWS}, "cannot be read"),
         ({"words": NAMES, "vectors": ROWS, "kind": npy_bytes(np.array(["a", "b"]))}, "cannot be read"),
         ({"words": npy_bytes(np.array([1, 2])), "vectors": ROWS}, "no list of names"),
         ({"words": npy_bytes(np.array([b"\xff", b"a"])), "vectors": ROWS}, "not UTF-8"),
