@@ -20,7 +20,7 @@ from pipeline.corrections.journal import batch, chain, events, field_refs
 from pipeline.datasets import saved_case, settings
 from pipeline.datasets.demo import demo_run
 from pipeline.datasets.depth.contract import DepthContract
-from pipeline.diagnosis import answer, story_words, marks
+from pipeline.diagnosis import answer, marks, story_words
 from pipeline.diagnosis.cases import manifest
 from pipeline.diagnosis.whatif import edits, state
 from pipeline.evaluation import job, records

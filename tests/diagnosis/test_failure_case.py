@@ -19,16 +19,7 @@ from whatif_scenes import RowDataset, ScoringDetector, context_of, row, source
 from pipeline.answering import Pipeline, PreparedFrame
 from pipeline.answering.ranking import RankConfig
 from pipeline.datasets import MANIFEST, open_dataset
-from pipeline.diagnosis import (
-    Edits,
-    annotated_truth,
-    answer_record,
-    edits_record,
-    find_cases,
-    open_case,
-    replay_all,
-    save_case,
-)
+from pipeline.diagnosis import Edits, annotated_truth, answer_record, edits_record, find_cases, open_case, replay_all, save_case
 from pipeline.diagnosis.cases.replay import replay_case
 from pipeline.geometry import Camera, Frame, LiftConfig
 from pipeline.proposals import FittedFrame, Proposals, ScoreCalibration

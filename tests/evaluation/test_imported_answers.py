@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import product, takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,19 @@ from benchmarks.centre_rule import CENTRES
 from benchmarks.fault_figures import lines
 from slow_cases import mostly_slow
 
-from pipeline.answering import Header, PredictedAnswer, PredictedBox, Prediction, open_pipeline, write_predictions
+from pipeline.answering import (
+    Header,
+    PredictedAnswer,
+    PredictedBox,
+    Prediction,
+    Proposal,
+    open_imported,
+    open_pipeline,
+    write_predictions,
+)
 from pipeline.answering.pair_rules import factors_of
 from pipeline.datasets import demo_labels
+from pipeline.diagnosis import ask_and_judge
 from pipeline.evaluation import RunReport, import_published, import_run, open_run
 from pipeline.geometry import RunLength
 from pipeline.labels import SourceSpec, label_dataset, open_labels
@@ -256,3 +267,50 @@ def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(tmp_path:
     assert all(off[k] == "LIFT" for k in scorers)
     # What another line's boxes are changes nothing where they are as they were.
     assert all(off[k] == v for k, v in enumerate(as_usual) if k % 4)
+
+
+def of_three(
+    path: Path, text: str, names: tuple[str, ...], relation: str, p: Callable[[tuple[int, ...]], float]
+) -> Path:
+    """A file of one sentence, of the annotated things of its names, with a row for each choice of them."""
+    frame = open_pipeline("demo", srm="rule").dataset.load("000001/000000")
+    things = {name: [a for a in frame.annotations if a.label == name] for name in names}
+    proposals = {
+        name: tuple(
+            Proposal(a.index, 0.8, box=tuple(a.bbox.tolist()), mask=None if a.mask is None else RunLength.of(a.mask))
+            for a in found
+        )
+        for name, found in things.items()
+    }
+    rows: Any = tuple((*row, p(row)) for row in product(*([a.index for a in found] for found in things.values())))
+    line = Prediction(frame.id, text, proposals=proposals, relations={relation: rows})
+    write_predictions(path, Header(ranking="product", exact=True), [line])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "relation"),
+    [
+        ("potted plant closest to the desk", ("potted plant", "desk"), "closest"),
+        ("potted plant farthest from the desk", ("potted plant", "desk"), "farthest"),
+        ("book between the laptop and the bookshelf", ("book", "laptop", "bookshelf"), "between"),
+    ],
+)
+def test_what_is_given_of_three_things_is_not_worked_out(tmp_path: Path, text: str, names: Any, relation: str) -> None:
+    frame = "000001/000000"
+    (ours,) = ask_and_judge(open_pipeline("demo", srm="rule"), frame, [text])
+    assert ours.trace is not None
+    assert ours.trace.ranking is not None
+    best, worst = (ours.trace.objects[ours.trace.ranking.pairs[k].target].id for k in (0, -1))
+    assert best != worst
+    for wanted in (best, worst):
+        path = tmp_path / f"{wanted}.jsonl"
+        of_three(path, text, names, relation, lambda row, wanted=wanted: 0.9 if row[0] == wanted else 0.1)
+        (theirs,) = ask_and_judge(open_imported(path, "demo"), frame, [text])
+        assert theirs.trace is not None
+        assert theirs.trace.ranking is not None
+        first = theirs.trace.ranking.pairs[0]
+        assert (theirs.trace.objects[first.target].id, first.p_relation) == (wanted, pytest.approx(0.9))
+        # What "between" is true of is not worked out from annotations.
+        truly = None if relation == "between" else "CORRECT" if wanted == best else "SRM"
+        assert theirs.verdict == truly

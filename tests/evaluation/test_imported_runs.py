@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from pipeline.answering import (
     ImportedPipeline,
     PredictedAnswer,
     Prediction,
-    Proposal,
     check_places,
     open_pipeline,
     read_predictions,
@@ -431,50 +429,3 @@ def test_a_killed_writer_leaves_whole_lines(folder: Path, tmp_path: Path) -> Non
     report = import_run(path, "demo", folder / "labels", tmp_path / "run", plots=False)
     assert f"line {ASKED + 1} is cut off, as a killed writer leaves it, and is not read" in report.warnings
     assert len(read_predictions(path).lines) == ASKED - 1
-
-
-def of_three(
-    path: Path, text: str, names: tuple[str, ...], relation: str, p: Callable[[tuple[int, ...]], float]
-) -> Path:
-    """A file of one sentence, of the annotated things of its names, with a row for each choice of them."""
-    frame = open_pipeline("demo", srm="rule").dataset.load("000001/000000")
-    things = {name: [a for a in frame.annotations if a.label == name] for name in names}
-    proposals = {
-        name: tuple(
-            Proposal(a.index, 0.8, box=tuple(a.bbox.tolist()), mask=None if a.mask is None else RunLength.of(a.mask))
-            for a in found
-        )
-        for name, found in things.items()
-    }
-    rows: Any = tuple((*row, p(row)) for row in product(*([a.index for a in found] for found in things.values())))
-    line = Prediction(frame.id, text, proposals=proposals, relations={relation: rows})
-    write_predictions(path, Header(ranking="product", exact=True), [line])
-    return path
-
-
-@pytest.mark.parametrize(
-    ("text", "names", "relation"),
-    [
-        ("potted plant closest to the desk", ("potted plant", "desk"), "closest"),
-        ("potted plant farthest from the desk", ("potted plant", "desk"), "farthest"),
-        ("book between the laptop and the bookshelf", ("book", "laptop", "bookshelf"), "between"),
-    ],
-)
-def test_what_is_given_of_three_things_is_not_worked_out(tmp_path: Path, text: str, names: Any, relation: str) -> None:
-    frame = "000001/000000"
-    (ours,) = ask_and_judge(open_pipeline("demo", srm="rule"), frame, [text])
-    assert ours.trace is not None
-    assert ours.trace.ranking is not None
-    best, worst = (ours.trace.objects[ours.trace.ranking.pairs[k].target].id for k in (0, -1))
-    assert best != worst
-    for wanted in (best, worst):
-        path = tmp_path / f"{wanted}.jsonl"
-        of_three(path, text, names, relation, lambda row, wanted=wanted: 0.9 if row[0] == wanted else 0.1)
-        (theirs,) = ask_and_judge(open_imported(path, "demo"), frame, [text])
-        assert theirs.trace is not None
-        assert theirs.trace.ranking is not None
-        first = theirs.trace.ranking.pairs[0]
-        assert (theirs.trace.objects[first.target].id, first.p_relation) == (wanted, pytest.approx(0.9))
-        # What "between" is true of is not worked out from annotations.
-        truly = None if relation == "between" else "CORRECT" if wanted == best else "SRM"
-        assert theirs.verdict == truly
