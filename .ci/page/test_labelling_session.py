@@ -149,6 +149,9 @@ def test_many_are_accepted_as_one_step(review: Tab, reviewed: Server) -> None:
     accept = tab.see('[data-do="accept-found"]:not([disabled])')
     found = int(accept.inner_text().split()[1].replace(",", ""))
     assert found > 3, found
+    listed = tab.page.locator("#queue-rows .q").all_inner_texts()
+    assert listed
+    assert all("000002" in row for row in listed), listed
     accept.click()
     tab.poll(f"wanted => {SETTLED} >= wanted", before + found)
     groups = [e["group"] for e in events(LABELS, "--journal", reviewed.journal)]

@@ -238,7 +238,7 @@ def section(case: Mapping[str, Any], said: Mapping[str, Any]) -> str:
     block = f"```sh\n{command}\n```"
     if real(case):
         made = f"python .ci/site/gallery.py --real RECORDINGS --out OUT --only {case['name']}"
-        reason = "<!-- not run: the recording is not part of the project -->"
+        reason = "<!-- not run: data -->"
         block = f"{reason}\n```sh\n{made}\nspatialviz view OUT/{case['name']}\n```"
     mend = f"\n**What would mend it.** {said['mend']}\n" if said["mend"] else ""
     told = {

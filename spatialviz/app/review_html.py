@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import Any
@@ -126,8 +127,9 @@ def queue_html(
     item: ItemKey | None,
     names: Names,
     bulk: Element | None = None,
+    found: Sequence[int] | None = None,
 ) -> Element:
-    """Sources of the queue, progress, filters, and the list from the current item on."""
+    """Sources of the queue, progress, filters, and the list from the current item on; of a filter what it found."""
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button("rebuild" if work else "build", "make-queue", "ranks the labels by what is switched on here")
     hint = "beside the rules and the linter, networks that have not learnt from a label"
@@ -138,13 +140,18 @@ def queue_html(
     ]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
-    places, at = shown_places(work, kind, item), None if item is None else work.indices.get(item.plain)
+    places, at = shown_places(work, kind, item, found), None if item is None else work.indices.get(item.plain)
     rows = [_row(place, row, names, place == at) for place, row in zip(places, work.rows(places), strict=True)]
+    none = "nothing of this kind" if found is None else "nothing with these words"
     return panel(
         parts,
         segments("queue-kind", KINDS, kind, "Items of one kind"),
         bulk,
-        h.div(rows or "nothing of this kind", id="queue-rows", cls="queue"),
+        h.div(
+            rows or ("nothing of this kind" if found is None else "nothing with these words"),
+            id="queue-rows",
+            cls="queue",
+        ),
     )
 
 
@@ -159,9 +166,14 @@ def _busy(making: QueueProgress) -> Child:
     return progress(what, done, of), h.div(what, cls="dim")
 
 
-def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
-    """Rows around the current item; scrolls by `STEP` rows, so that the next item sends few."""
+def shown_places(work: Worklist, kind: str, item: ItemKey | None, found: Sequence[int] | None = None) -> Sequence[int]:
+    """Rows around the current item, or around its place among those found; scrolls by `STEP` rows, so that the next
+    item sends few.
+    """
     at = 0 if item is None else work.indices.get(item.plain, 0)
+    if found is not None:
+        first = max(0, bisect_left(found, at) - 3) // STEP * STEP
+        return found[first : first + ROWS]
     start = max(0, at - 3) // STEP * STEP
     places = (k for k in range(start, len(work)) if kind in ("all", work.keys[k].kind) and not work.gone[k])
     return list(islice(places, ROWS))

@@ -369,12 +369,16 @@ class ReviewQueue(LabelPart):
         if work is not None and self.ctx.reviewed is not work.frame_counts:
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle(Command("timeline")))
-        bulk = None if work is None else bulk_html(self._find, len(self._found(work)))
+        found = [] if work is None else self._found(work)
+        bulk = None if work is None else bulk_html(self._find, len(found))
+        listed = found if self._find else None
         question = self._question
         page.fill(
             {
                 "review-item": None if view is None else self._card(queue, item, question),
-                "review-list": queue_html(work, queue.seen, queue.networks, self._kind, item, queue.names, bulk),
+                "review-list": queue_html(
+                    work, queue.seen, queue.networks, self._kind, item, queue.names, bulk, listed
+                ),
                 "pace": None if work is None or view is None else pace_html(work.counts),
                 "decide": None if view is None else decision_bar(question),
             }

@@ -22,10 +22,10 @@ from pipeline.answering import (
     PredictedBox,
     Prediction,
     Proposal,
-    open_imported,
     open_pipeline,
     write_predictions,
 )
+from pipeline.answering.imported import open_imported
 from pipeline.answering.pair_rules import factors_of
 from pipeline.datasets import demo_labels
 from pipeline.diagnosis import ask_and_judge
