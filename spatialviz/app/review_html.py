@@ -147,11 +147,7 @@ def queue_html(
         parts,
         segments("queue-kind", KINDS, kind, "Items of one kind"),
         bulk,
-        h.div(
-            rows or ("nothing of this kind" if found is None else "nothing with these words"),
-            id="queue-rows",
-            cls="queue",
-        ),
+        h.div(rows or none, id="queue-rows", cls="queue"),
     )
 
 
