@@ -53,7 +53,8 @@ def frame_truth(pipeline: Pipeline, context: PreparedFrame, labels: Labels | Non
         return annotated_truth(context, pipeline)
     truth = labelled_truth(context.frame.id, pipeline, labels)
     if truth is None:
-        raise InputError(f"the labels say nothing of frame {context.frame.id}", path=labels.root)
+        outlined = "a frame of the labels; what people outlined counts after `spatialviz export --effective`"
+        raise InputError(f"the labels say nothing of frame {context.frame.id}", expected=outlined, path=labels.root)
     truth.check_picture(context.frame)
     return truth
 
@@ -246,11 +247,11 @@ def annotated_truth(context: PreparedFrame, pipeline: Pipeline) -> FrameCases | 
 
 
 def labelled_truth(frame_id: str, pipeline: Pipeline, labels: Labels) -> FrameCases | None:
-    """Truth of a frame by labels, with their expressions; None for a frame outside the labels."""
+    """Truth of a frame by labels, with their expressions if it has any; None for a frame outside the labels."""
     if frame_id not in pipeline.dataset.frame_ids:
         return None
     index = pipeline.dataset.frame_ids.index(frame_id)
-    return next((truth for truth in read_cases(labels, index, index + 1) if truth.frame == frame_id), None)
+    return next((truth for truth in read_cases(labels, index, index + 1, bare=True) if truth.frame == frame_id), None)
 
 
 def labelled_case(truth: FrameCases, text: str) -> Case | None:

@@ -145,8 +145,8 @@ class FrameCases:
         return [(name, self.alike[example]) for name, example in ends]
 
 
-def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
-    """Read frames with expressions from index `first` up to `stop`, in order."""
+def read_cases(labels: Labels, first: int, stop: int, bare: bool = False) -> Iterator[FrameCases]:
+    """Read frames with expressions from index `first` up to `stop`, in order; with `bare` those without any, too."""
     names = [r for r in PAIRWISE if r in labels.relation_names]
     rows = {
         table: _part(labels.root, table, chosen, first, stop)
@@ -155,10 +155,10 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
     frames = {row["frame_index"]: row for row in rows["frames"].to_pylist()}
     expressions = _by_frame(rows["expressions"])
     objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
-    for index in sorted(expressions):
-        found = expressions[index]
+    for index in sorted(objects if bare else expressions):
+        found = expressions.get(index, {})
         yield frame_cases(
-            found["frame"][0],
+            frames[index]["frame"],
             index,
             frames[index]["scene"],
             objects[index],
@@ -231,7 +231,7 @@ def _rows(values: list[Any], width: int) -> np.ndarray:
 _GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
 _FACTS = ("distance", "occluded", "mask_pixels")
 _COLUMNS = {
-    "frames": ["frame_index", "scene", "rgb_hash"],
+    "frames": ["frame", "frame_index", "scene", "rgb_hash"],
     "objects": ["frame_index", "object", "label", "bbox", "mask", *_GEOMETRY, *_FACTS],
     "expressions": [
         "frame",

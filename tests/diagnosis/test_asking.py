@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.answering import Pipeline, open_pipeline
@@ -99,6 +102,19 @@ def test_labels_of_another_picture_judge_nothing(demo: Pipeline, labels: Labels)
     (record,) = [a.record() for a in ask_and_judge(demo, 5, TEXTS[:1], labels)]
     assert record["verdict"] is None
     assert "say nothing of frame" in record["verdict_reason"]
+
+
+def test_labels_without_sentences_judge_what_is_asked(demo: Pipeline, labels: Labels, tmp_path: Path) -> None:
+    """As those of things that people outlined in the page."""
+    bare = tmp_path / "bare"
+    shutil.copytree(labels.root, bare)
+    table = pq.read_table(bare / "expressions.parquet")
+    pq.write_table(table.slice(0, 0), bare / "expressions.parquet")
+    with_sentences, without = (
+        [a.verdict for a in ask_and_judge(demo, 0, TEXTS, known)] for known in (labels, open_labels(bare))
+    )
+    assert without == with_sentences
+    assert "CORRECT" in without
 
 
 def test_a_frame_that_is_not_there_is_an_error(demo: Pipeline) -> None:
