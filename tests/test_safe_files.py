@@ -71,7 +71,7 @@ OWN = {
     "diagnosis/story_words.py": "comes with the program",
     "diagnosis/whatif/changes.py": "keys that were made here",
     "evaluation/importing.py .open": "written to",
-    "evaluation/importing.py json.loads": "settings that were made here",
+    "evaluation/exporting.py json.loads": "settings that were made here",
     "evaluation/job.py json.loads": "options that were made here",
     "labels/merge.py open": "a table that was just written",
     "labels/reading.py open": "a table that was just written",
