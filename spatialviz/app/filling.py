@@ -22,7 +22,7 @@ class Region:
     wanted: Callable[[State], bool] = lambda _: True  # Else it is empty, and reads nothing
 
 
-ASKED = "loaded problem text trace found error stopped judged edits edited other pair side"
+ASKED = "loaded problem kept text trace found error stopped judged edits edited other pair side"
 """An answer, and the pair that is looked at."""
 
 
