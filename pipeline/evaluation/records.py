@@ -351,7 +351,9 @@ def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:
         alone = not path.is_file() and path.with_name("relation_records.parquet").is_file()
         require(not alone, "this run has no expressions", cause="made with --tables relations", path=run)
         require(path.is_file(), "no evaluation run here", expected="a folder that `eval` wrote", path=run)
-        rows = typed(read_parquet(path, columns), records_schema(), "the records", path)
+        read = read_parquet(path, columns)
+        read.validate(full=True)  # Text that is no UTF-8
+        rows = typed(read, records_schema(), "the records", path)
     if columns is None:
         need_columns(rows.column_names, path)
     return rows

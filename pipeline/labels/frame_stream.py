@@ -39,6 +39,7 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
         check_version(file.schema_arrow.metadata or {}, name, path)
         there = set(file.schema_arrow.names)
         for batch in file.iter_batches(BATCH, columns=columns and [n for n in columns if n in there]):
+            batch.validate(full=True)
             yield sound_rows(pa.Table.from_batches([batch]), name, columns, path=path)
 
 

@@ -130,6 +130,8 @@ def read_table(
         schema = file.schema_arrow
         check_version(schema.metadata or {}, table, path)
         read = file.read(columns=None if columns is None else [n for n in columns if n in schema.names])
+        # Text of a damaged file may be no UTF-8, which would be met only where a row is made.
+        read.validate(full=True)
         return read if columns is not None and not columns else sound_rows(read, table, columns, path=path)
 
 
