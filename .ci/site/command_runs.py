@@ -50,6 +50,8 @@ def load_program() -> None:
         import_module(f"spatialviz.{runner}")
     import_module("spatialviz.view_opening")
     import_module("spatialviz.app.session")
+    # A script's background job ignores Ctrl-C, and what it starts would, too.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def home_of(folder: Path) -> Path:
