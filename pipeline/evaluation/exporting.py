@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from pipeline.answering.batch import FrameAnswers
 from pipeline.answering.objects import SceneObject, prepare_frame
@@ -27,8 +26,6 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import RunLength
 from pipeline.labels.cases import FrameCases, read_cases
 from pipeline.system.errors import InputError, require
-
-Record = Prediction | Mapping[str, Any]
 
 
 def export_run(run: Run, out: str | Path) -> int:
